@@ -182,7 +182,8 @@ impl Guess {
         {
             let (Some(color_from_board), true) = (*pose, capture.is_view) else { continue };
             let seen = capture.depth.as_ref().map(|image| {
-                let outline = self.outline(&input.board, &color_from_board, margin);
+                let place = (&self.lens, &self.depth_from_color);
+                let outline = board_outline(&input.board, place, &color_from_board, margin);
                 let meaning = (self.reading, &self.lens);
                 let tiles = find_board_plane(image, meaning, &outline, &plane_options)?;
                 let surround = grow_plane(image, meaning, (&tiles, &outline), &plane_options);
@@ -244,25 +245,30 @@ impl Guess {
             interrupt: Interrupt::default(),
         }
     }
+}
 
-    /// The board's edge in the depth image, `margin` squares past its outer inner corners; what
-    /// the lens does not see is left out.
-    fn outline(&self, board: &Target, color_from_board: &Pose, margin: f64) -> Vec<Pixel> {
-        let [near, far] = board.extent();
-        let margin_m = margin * board.spanned_chessboard().square_m;
-        let [left, top] = [near.x - margin_m, near.y - margin_m];
-        let [right, bottom] = [far.x + margin_m, far.y + margin_m];
-        let corners = [(left, top), (right, top), (right, bottom), (left, bottom)];
-        let depth_from_board = self.depth_from_color * *color_from_board;
-        let sides = corners.iter().zip(corners.iter().cycle().skip(1));
-        let points = sides.flat_map(|(a, b)| {
-            (0..8).map(move |k| {
-                let part = f64::from(k) / 8.0;
-                Point3::new(a.0 + part * (b.0 - a.0), a.1 + part * (b.1 - a.1), 0.0)
-            })
-        });
-        points.filter_map(|point| self.lens.pixel_from_point(&(depth_from_board * point))).collect()
-    }
+/// The board's edge in the image of a depth camera with this lens at `depth_from_color`, `margin`
+/// squares past its outer inner corners; what the lens does not see is left out.
+pub(super) fn board_outline(
+    board: &Target,
+    (lens, depth_from_color): (&Lens, &Pose),
+    color_from_board: &Pose,
+    margin: f64,
+) -> Vec<Pixel> {
+    let [near, far] = board.extent();
+    let margin_m = margin * board.spanned_chessboard().square_m;
+    let [left, top] = [near.x - margin_m, near.y - margin_m];
+    let [right, bottom] = [far.x + margin_m, far.y + margin_m];
+    let corners = [(left, top), (right, top), (right, bottom), (left, bottom)];
+    let depth_from_board = *depth_from_color * *color_from_board;
+    let sides = corners.iter().zip(corners.iter().cycle().skip(1));
+    let points = sides.flat_map(|(a, b)| {
+        (0..8).map(move |k| {
+            let part = f64::from(k) / 8.0;
+            Point3::new(a.0 + part * (b.0 - a.0), a.1 + part * (b.1 - a.1), 0.0)
+        })
+    });
+    points.filter_map(|point| lens.pixel_from_point(&(depth_from_board * point))).collect()
 }
 
 /// The middle of the board's corners in the board frame, and how far the outermost are from it, in
@@ -302,7 +308,7 @@ fn moving_pose(lens: &Lens, capture: &RgbdCapture, corners: &[Correspondence]) -
 }
 
 /// A pinhole that sees about as much of the world as another camera does.
-fn same_view(lens: &Lens, lens_size: ImageSize, size: ImageSize) -> Lens {
+pub(super) fn same_view(lens: &Lens, lens_size: ImageSize, size: ImageSize) -> Lens {
     let scale = f64::from(size.width) / f64::from(lens_size.width);
     let focal = lens.matrix.fx * scale;
     let center = size.center();

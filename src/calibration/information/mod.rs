@@ -26,12 +26,23 @@
 //! | how uncertain it is where one camera sees what another sees | [`transfer_goal`] |
 //! | which view to ask for that both see | [`next_shared_view`] |
 //! | what a session's views have taught of two cameras together | [`pair_teaching`] |
+//! | what planes say of a depth camera beside color | [`depth_information`] |
+//! | how uncertain it is where color sees what depth measures | [`depth_goal`] |
+//! | what depth would measure of a board | [`expected_depth`] |
+//! | which view to ask for so that depth is known | [`next_depth_view`] |
+//! | what a session's views have taught of depth | [`depth_teaching`], `depth_fit` |
 //! | which images of a pool to take | [`pool`] |
 
 pub mod candidate_views;
 pub mod corner_noise;
+mod depth_fit;
+pub mod depth_goal;
+pub mod depth_information;
+pub mod depth_teaching;
+pub mod expected_depth;
 pub mod lens_information;
 pub mod movement;
+pub mod next_depth_view;
 pub mod next_shared_view;
 pub mod next_view;
 pub mod pair_information;

@@ -106,6 +106,11 @@ impl Teaching {
         &self.known.lens
     }
 
+    /// The board's points.
+    pub fn board(&self) -> &BoardPoints {
+        &self.board
+    }
+
     /// What is known of the lens.
     pub fn known(&self) -> &LensInformation {
         &self.known
@@ -321,6 +326,12 @@ impl Teaching {
 }
 
 impl TaughtView {
+    /// Where the board is, its origin in the middle of the corners that were seen: rotations are
+    /// about that in its normal matrix.
+    pub fn centered(&self) -> Pose {
+        Pose::new(self.camera_from_board.rotation(), self.normal.middle_in_camera)
+    }
+
     /// Its normal matrix.
     pub fn normal(&self) -> &ViewNormal {
         &self.normal

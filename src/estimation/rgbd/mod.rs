@@ -12,6 +12,7 @@
 
 mod corners;
 pub mod motion;
+pub mod plane_information;
 mod planes;
 mod pose_jitter;
 pub mod problem;
@@ -26,7 +27,7 @@ use crate::estimation::rgbd::planes::{Fit, Planes};
 use crate::geometry::depth_correction::{CorrectedQuantity, DepthCorrection, SplineGrid};
 use crate::geometry::pose::Pose;
 
-const BASE_SMOOTHNESS: Smoothness = Smoothness { amplitude: 0.5, curvature: 0.01 };
+pub(crate) const BASE_SMOOTHNESS: Smoothness = Smoothness { amplitude: 0.5, curvature: 0.01 };
 
 /// Calibrates color and depth.
 ///

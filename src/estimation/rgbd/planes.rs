@@ -15,7 +15,7 @@ use crate::estimation::rgbd::corners::CornerBlocks;
 use crate::estimation::rgbd::problem::{
     DepthLens, RgbdEstimate, RgbdProblem, free, with_origin_at,
 };
-use crate::geometry::depth_camera::{DepthCamera, DepthTile};
+use crate::geometry::depth_camera::{DepthCamera, DepthReading, DepthTile};
 use crate::geometry::depth_correction::DepthCorrection;
 use crate::geometry::lens::Lens;
 use crate::geometry::median::median;
@@ -96,11 +96,7 @@ impl<'a> Planes<'a> {
             }
         };
         let len = depth.lens.free.len() + if depth.pose_at.is_some() { 6 } else { 0 };
-        let inverse_std = |tile: &DepthTile| {
-            let step = problem.depth.reading.inverse_depth_step(tile.inverse_depth);
-            let reading_std = tile.reading_std.hypot(step / 12.0_f64.sqrt());
-            1.0 / (reading_std * (1.0 / f64::from(tile.count)).sqrt().max(LEAST_READING_STDS))
-        };
+        let inverse_std = |tile: &DepthTile| tile_inverse_std(problem.depth.reading, tile);
         let with_depth =
             problem.views.iter().enumerate().filter(|(_, view)| !view.tiles.is_empty());
         let planes = with_depth.map(|(frame_set, view)| {
@@ -457,6 +453,13 @@ impl Anchor {
             }
         }
     }
+}
+
+/// 1 over the standard deviation of a tile's 1/z, in m: its readings' scatter and their step.
+pub(super) fn tile_inverse_std(reading: DepthReading, tile: &DepthTile) -> f64 {
+    let step = reading.inverse_depth_step(tile.inverse_depth);
+    let reading_std = tile.reading_std.hypot(step / 12.0_f64.sqrt());
+    1.0 / (reading_std * (1.0 / f64::from(tile.count)).sqrt().max(LEAST_READING_STDS))
 }
 
 fn scaled(plane: &PlaneObservation, noise: f64) -> PlaneObservation {

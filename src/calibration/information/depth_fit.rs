@@ -1,0 +1,147 @@
+//! The depth camera of a session's views so far: least squares over the board's surface in each, as
+//! the solve has it, but with a correction of two numbers.
+
+use nalgebra::{DMatrix, DVector, Vector6};
+
+use crate::calibration::information::depth_teaching::few;
+use crate::calibration::information::lens_information::inverse;
+use crate::calibration::information::teaching::TaughtView;
+use crate::calibration::information::view_information::inverse_of_pose;
+use crate::estimation::rgbd::plane_information::{PlacedDepth, PlaneNormal, moved_board};
+use crate::geometry::depth_camera::DepthTile;
+use crate::geometry::median::median;
+
+/// What came of it.
+pub(super) struct FittedDepth {
+    pub(super) depth: PlacedDepth,
+    /// By how much tiles scatter more than their readings do, and the means over many of them more
+    /// than if each erred by itself.
+    pub(super) scatter: [f64; 2],
+    /// All steps together.
+    moved: DVector<f64>,
+    /// Which tiles of each view lie on its plane.
+    pub(super) used: Vec<Vec<bool>>,
+}
+
+/// One view: what color saw, and the board's surface.
+type View<'a> = (&'a TaughtView, &'a [DepthTile]);
+
+/// As in the solve: the first round finds what lies off the plane.
+const ROUNDS: usize = 2;
+const STEPS: usize = 8;
+/// A step that changes the cost by less than this part is the last.
+const SETTLED: f64 = 1e-4;
+/// Residual limit of an inlier tile, in standard deviations.
+const LIMIT: f64 = 6.0;
+/// The standard deviation of normal numbers is their median size over this.
+const NORMAL_MEDIAN: f64 = 0.6745;
+
+/// Fits the depth camera from `start` on, which is known as well as `prior` says: it stays there in
+/// directions that nothing determines. `None` where there is no fit.
+pub(super) fn fit_depth(
+    start: &PlacedDepth,
+    prior: &DMatrix<f64>,
+    views: &[View<'_>],
+) -> Option<FittedDepth> {
+    let mut fitted = FittedDepth {
+        depth: start.clone(),
+        scatter: [1.0; 2],
+        moved: DVector::zeros(prior.nrows()),
+        used: views.iter().map(|(_, tiles)| vec![true; tiles.len()]).collect(),
+    };
+    for _ in 0..ROUNDS {
+        let mut before = f64::INFINITY;
+        for _ in 0..STEPS {
+            let (step, lowered) = fitted.step(prior, views)?;
+            let Some(next) = fitted.depth.stepped(&step) else { break };
+            fitted.depth = next;
+            fitted.moved += &step;
+            if lowered >= before * 4.0 {
+                return None;
+            }
+            before = lowered;
+            if lowered < SETTLED {
+                break;
+            }
+        }
+        fitted.judge(views)?;
+    }
+    Some(fitted)
+}
+
+impl FittedDepth {
+    /// The next step, and by how much it lowers the cost per view.
+    fn step(&self, prior: &DMatrix<f64>, views: &[View<'_>]) -> Option<(DVector<f64>, f64)> {
+        let mut normal = prior.clone();
+        let mut gradient = prior * &self.moved;
+        for ((taught, tiles), used) in views.iter().zip(&self.used) {
+            let Some(planes) = self.normal((*taught, *tiles), used) else { continue };
+            let inverse = inverse_of_pose(&(taught.normal().by_pose + planes.by_pose))?;
+            let through = &planes.coupling * inverse;
+            normal += &planes.by_depth - &through * planes.coupling.transpose();
+            gradient += &planes.gradient - through * planes.pose_gradient;
+        }
+        let step = -(inverse(&normal)? * &gradient);
+        let lowered = -step.dot(&gradient) / views.len().max(1) as f64;
+        step.iter().all(|value| value.is_finite()).then_some((step, lowered))
+    }
+
+    fn normal(&self, (taught, tiles): View<'_>, used: &[bool]) -> Option<PlaneNormal> {
+        let (few, count) = few(tiles, used);
+        let weight = count / (self.scatter[0] * self.scatter[0]);
+        PlaneNormal::of(&self.depth, &taught.centered(), (&few, weight))
+    }
+
+    /// Finds which tiles lie on their planes, and how those scatter; the boards are where corners
+    /// and planes have them together.
+    fn judge(&mut self, views: &[View<'_>]) -> Option<()> {
+        let residuals: Vec<Vec<f64>> = (views.iter().zip(&self.used))
+            .map(|((taught, tiles), used)| {
+                let step = self.normal((*taught, *tiles), used).and_then(|planes| {
+                    let inverse = inverse_of_pose(&(taught.normal().by_pose + planes.by_pose))?;
+                    Some(-(inverse * planes.pose_gradient))
+                });
+                let board = moved_board(&taught.centered(), &step.unwrap_or(Vector6::zeros()));
+                let depth_from_board = self.depth.depth_from_color * board;
+                let residual =
+                    |tile| self.depth.residual(&depth_from_board, tile).unwrap_or(f64::INFINITY);
+                tiles.iter().map(residual).collect()
+            })
+            .collect();
+        let sizes = residuals.iter().flatten().map(|residual| residual.abs());
+        let limit =
+            LIMIT * median(sizes.filter(|size| size.is_finite()).collect())? / NORMAL_MEDIAN;
+        for (used, residuals) in self.used.iter_mut().zip(&residuals) {
+            used.iter_mut().zip(residuals).for_each(|(used, it)| *used = it.abs() <= limit);
+        }
+        let (mut squares, mut count, mut quarters) = (0.0, 0.0, 0.0);
+        for (((_, tiles), used), residuals) in views.iter().zip(&self.used).zip(&residuals) {
+            let on_plane = || (tiles.iter().zip(residuals).zip(used)).filter(|(_, used)| **used);
+            squares += on_plane().map(|((_, residual), _)| residual * residual).sum::<f64>();
+            count += on_plane().count() as f64;
+            let each: Vec<(&DepthTile, f64)> =
+                on_plane().map(|((tile, residual), _)| (tile, *residual)).collect();
+            quarters += mean_squares_of_quarters(&each).unwrap_or(0.0);
+        }
+        let variance = (squares / f64::max(count, 1.0)).max(1e-6);
+        let together = quarters / (4.0 * views.len() as f64) / variance;
+        self.scatter = [variance.sqrt(), together.max(1.0).sqrt()];
+        Some(())
+    }
+}
+
+/// The sum over the quarters of a view of the squared sum of residuals over their number, as the
+/// solve takes it: as large as four residuals' squares where each errs by itself.
+fn mean_squares_of_quarters(tiles: &[(&DepthTile, f64)]) -> Option<f64> {
+    let middle =
+        |of: fn(&DepthTile) -> f64| median(tiles.iter().map(|(tile, _)| of(tile)).collect());
+    let (x, y) = (middle(|tile| tile.pixel.x)?, middle(|tile| tile.pixel.y)?);
+    let mut quarters = [(0.0, 0.0); 4];
+    for (tile, residual) in tiles {
+        let at = usize::from(tile.pixel.x > x) + 2 * usize::from(tile.pixel.y > y);
+        quarters[at] = (quarters[at].0 + residual, quarters[at].1 + 1.0);
+    }
+    let mean_square =
+        |(sum, count): &(f64, f64)| if *count > 0.0 { sum * sum / count } else { 0.0 };
+    Some(quarters.iter().map(mean_square).sum())
+}

@@ -1,0 +1,361 @@
+//! What a session's views have taught of the depth camera beside color: of its lens, its place and
+//! its error, and of where color sees what it measures. Follows from the frames alone, as what
+//! color has been taught.
+//!
+//! The depth camera is fitted anew whenever the views with depth have grown by a third, with color's
+//! poses held as well as their corners hold them; in between information only adds up.
+
+use nalgebra::{DMatrix, Point3};
+
+use crate::calibration::information::depth_fit::{FittedDepth, fit_depth};
+use crate::calibration::information::depth_goal::DepthGoal;
+use crate::calibration::information::depth_information::{DepthInformation, DepthNormal};
+use crate::calibration::information::expected_depth::DepthNoise;
+use crate::calibration::information::teaching::{TaughtView, Teaching};
+use crate::calibration::information::view_information::ViewNormal;
+use crate::calibration::rgbd_guess::{board_outline, same_view};
+use crate::detection::board_plane::{NoPlane, PlaneOptions, find_board_plane};
+use crate::estimation::rgbd::plane_information::{PlacedDepth, PlaneNormal};
+use crate::geometry::depth_camera::{DepthReading, DepthTile};
+use crate::geometry::lens::Lens;
+use crate::geometry::pixel::ImageSize;
+use crate::geometry::pose::Pose;
+use crate::geometry::target::Target;
+use crate::imaging::depth_image::DepthImage;
+
+/// What the views of one camera teach of its depth.
+#[derive(Debug, Clone)]
+pub struct DepthTeaching {
+    target: Target,
+    size: ImageSize,
+    invalid: Option<u16>,
+    /// Its lens and pose were stated.
+    is_stated: bool,
+    guess: PlacedDepth,
+    depth: PlacedDepth,
+    views: Vec<MeasuredView>,
+    estimated_among: usize,
+    /// By how much tiles scatter more than their readings do, and neighbors together.
+    scatter: [f64; 2],
+    pub(super) noise: DepthNoise,
+    now: Option<DepthNow>,
+    refused: Vec<Pose>,
+}
+
+/// What is known by now.
+#[derive(Debug, Clone)]
+pub(super) struct DepthNow {
+    pub(super) known: DepthInformation,
+    pub(super) goal: DepthGoal,
+    /// The uncertainty of each transferred pixel.
+    pub(super) std_px: Vec<f64>,
+}
+
+/// What a depth camera is before a session, as far as anyone states it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StatedDepth {
+    /// The size of its images.
+    pub size: ImageSize,
+    /// What its numbers mean.
+    pub reading: DepthReading,
+    /// The reading that means none.
+    pub invalid: Option<u16>,
+    /// Its lens, and where color is.
+    pub factory: Option<(Lens, Pose)>,
+}
+
+/// The board's surface in the depth image of one view.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MeasuredView {
+    /// Which of the session's views it is.
+    pub number: u32,
+    tiles: Vec<DepthTile>,
+    /// Some of them, and for how many each stands.
+    few: (Vec<DepthTile>, f64),
+    /// The distance of the surface, in meters.
+    z_m: f64,
+}
+
+/// So many tiles stand for all of a view.
+const FEW: usize = 24;
+/// The solve takes as many views with depth.
+const LEAST_VIEWS: usize = 3;
+/// The depth camera is fitted anew when views have grown by this factor.
+const GROWTH: f64 = 1.3;
+/// The correction is meant to hold so many times nearer and farther than was seen.
+const BEYOND_SEEN: f64 = 4.0;
+/// The board's surface is measured this far past its outer corners, as in the solve …
+const MARGIN_SQUARES: f64 = 0.8;
+/// … and only so far before them as long as nobody knows where that is.
+const UNKNOWN_MARGIN_SQUARES: f64 = -1.0;
+
+impl DepthTeaching {
+    /// Nothing taught yet of a depth camera beside the one that `color` is of.
+    pub fn new(target: &Target, color: &Teaching, stated: &StatedDepth) -> Self {
+        let size = stated.size;
+        let guess = || (same_view(color.lens(), color.size(), size), Pose::identity());
+        let (lens, depth_from_color) = stated.factory.unwrap_or_else(guess);
+        let guess = PlacedDepth::new((lens, size), depth_from_color, (stated.reading, [0.3, 3.0]));
+        Self {
+            target: *target,
+            size,
+            invalid: stated.invalid,
+            is_stated: stated.factory.is_some(),
+            depth: guess.clone(),
+            guess,
+            views: Vec::new(),
+            estimated_among: 0,
+            scatter: [1.0; 2],
+            noise: DepthNoise::default(),
+            now: None,
+            refused: Vec::new(),
+        }
+    }
+
+    /// The depth camera, as far as it is known.
+    pub fn depth(&self) -> &PlacedDepth {
+        &self.depth
+    }
+
+    /// The size of its images.
+    pub fn size(&self) -> ImageSize {
+        self.size
+    }
+
+    /// What is shown there is not worth keeping: nothing like it is asked for until a view is kept.
+    pub fn refuse(&mut self, camera_from_board: Pose) {
+        self.refused.push(camera_from_board);
+    }
+
+    /// Where nothing is asked for.
+    pub(super) fn refused(&self) -> &[Pose] {
+        &self.refused
+    }
+
+    /// How many views have depth.
+    pub fn measured(&self) -> usize {
+        self.views.len()
+    }
+
+    /// The board's surface in the depth image that was taken with `taught`; `None` where it was
+    /// not measured, which is remembered of its distance.
+    pub fn measure(&mut self, image: &DepthImage, taught: &TaughtView) -> Option<MeasuredView> {
+        if image.size() != self.size {
+            return None;
+        }
+        let color_from_board = &taught.camera_from_board;
+        let place = (&self.depth.lens, &self.depth.depth_from_color);
+        let is_placed = self.is_stated || self.estimated_among > 0;
+        let margin = if is_placed { MARGIN_SQUARES } else { UNKNOWN_MARGIN_SQUARES };
+        let outline = board_outline(&self.target, place, color_from_board, margin);
+        let options = PlaneOptions { invalid: self.invalid, ..PlaneOptions::default() };
+        let meaning = (self.depth.reading, &self.depth.lens);
+        match find_board_plane(image, meaning, &outline, &options) {
+            Ok(tiles) => Some(MeasuredView::new(taught.number, tiles)),
+            Err(NoPlane::Holes { .. } | NoPlane::NotFlat { .. }) => {
+                let middle = Point3::from(taught.normal().middle_in_camera);
+                self.noise.miss((self.depth.depth_from_color * middle).z);
+                None
+            }
+            Err(_) => None,
+        }
+    }
+
+    /// Takes a view in; `color` has it already.
+    pub fn add(&mut self, view: MeasuredView, color: &Teaching) {
+        self.views.push(view);
+        self.refused.clear();
+        self.sum_up(color);
+    }
+
+    /// Takes the view with this number out.
+    pub fn remove(&mut self, number: u32) {
+        self.views.retain(|view| view.number != number);
+    }
+
+    /// Takes in what `color` has been taught meanwhile.
+    pub fn sum_up(&mut self, color: &Teaching) {
+        let count = self.views.len();
+        let grown = count as f64 >= GROWTH * self.estimated_among as f64;
+        if count >= LEAST_VIEWS && grown && color.is_estimated() {
+            self.estimate(color);
+        }
+        self.now = self.known(color);
+    }
+
+    /// The 1-σ uncertainty of where color sees what depth measures at the distances seen: the
+    /// session's figure over the depth image, in pixels of color. `None` as long as fewer than
+    /// three views have depth.
+    pub fn uncertainty_px(&self) -> Option<f64> {
+        let now = self.now.as_ref().filter(|_| self.estimated_among > 0)?;
+        Some(now.goal.figure_px(&now.std_px))
+    }
+
+    /// What is known; `None` as long as nothing is.
+    pub fn information(&self) -> Option<&DepthInformation> {
+        self.now.as_ref().map(|now| &now.known)
+    }
+
+    /// How much surer that would be with one more view: the mean over the image of the relative
+    /// drop of its standard deviation, 0 to 1. One without depth teaches of color's lens alone.
+    pub fn gain(&self, taught: &TaughtView, measured: Option<&MeasuredView>) -> f64 {
+        let Some((now, after)) = self.after(taught, measured) else { return 0.0 };
+        let drops = now.std_px.iter().zip(&after).map(|(now, after)| 1.0 - after / now);
+        drops.sum::<f64>() / now.std_px.len() as f64
+    }
+
+    /// By how much the goal's criterion would fall with one more view, 0 to 1.
+    pub fn drop(&self, taught: &TaughtView, measured: Option<&MeasuredView>) -> f64 {
+        let after = self.after(taught, measured);
+        after.map_or(0.0, |(now, after)| now.drop(&after))
+    }
+
+    /// As [`Self::drop`], of a view that color's corners would have `normal` of.
+    pub(super) fn expected(
+        &self,
+        color: &Teaching,
+        (color_from_board, normal): (&Pose, &ViewNormal),
+    ) -> Option<(DMatrix<f64>, Option<DepthNormal>)> {
+        let now = self.now.as_ref()?;
+        let of_color = normal.lens_information(&now.known.free)?;
+        let board = color.board();
+        let tiles = self.noise.expected((&self.depth, self.size), (board, color_from_board));
+        let of_depth = tiles.and_then(|(tiles, weight)| {
+            let centered = Pose::new(color_from_board.rotation(), normal.middle_in_camera);
+            let planes = PlaneNormal::of(&self.depth, &centered, (&tiles, self.weight(weight)))?;
+            now.known.of_view(normal, &planes)
+        });
+        Some((of_color, of_depth))
+    }
+
+    pub(super) fn now(&self) -> Option<&DepthNow> {
+        self.now.as_ref()
+    }
+
+    fn after(
+        &self,
+        taught: &TaughtView,
+        measured: Option<&MeasuredView>,
+    ) -> Option<(&DepthNow, Vec<f64>)> {
+        let now = self.now.as_ref()?;
+        if taught.information().nrows() != now.known.free.len() {
+            return None;
+        }
+        let depth = measured.and_then(|measured| self.normal(&now.known, taught, measured));
+        let after = now.known.with(taught.information(), depth.as_ref());
+        Some((now, now.goal.std_px(&after)?))
+    }
+
+    /// How much a tile counts that stands for `count` of them.
+    fn weight(&self, count: f64) -> f64 {
+        count / (self.scatter[0] * self.scatter[0])
+    }
+
+    fn normal(
+        &self,
+        known: &DepthInformation,
+        taught: &TaughtView,
+        measured: &MeasuredView,
+    ) -> Option<DepthNormal> {
+        let (tiles, count) = &measured.few;
+        let planes =
+            PlaneNormal::of(&self.depth, &taught.centered(), (tiles, self.weight(*count)))?;
+        known.of_view(taught.normal(), &planes)
+    }
+
+    fn known(&self, color: &Teaching) -> Option<DepthNow> {
+        let mut known = DepthInformation::prior(color.known(), &self.depth);
+        known.together = self.scatter[1] * self.scatter[1];
+        for (taught, measured) in self.with_color(color) {
+            self.normal(&known, taught, measured).into_iter().for_each(|view| known.add(&view));
+        }
+        let distances_m = distances_m(&self.views)?;
+        let goal = DepthGoal::new(
+            (&self.depth, self.size),
+            (color.lens(), &known.free, color.size()),
+            (&distances_m, color.figure()),
+        )?;
+        let std_px = goal.std_px(&known)?;
+        Some(DepthNow { known, goal, std_px })
+    }
+
+    /// Each view with what color saw in it.
+    fn with_color<'a>(
+        &'a self,
+        color: &'a Teaching,
+    ) -> impl Iterator<Item = (&'a TaughtView, &'a MeasuredView)> {
+        self.views.iter().filter_map(|measured| {
+            let taught = color.views().iter().find(|taught| taught.number == measured.number)?;
+            Some((taught, measured))
+        })
+    }
+
+    fn estimate(&mut self, color: &Teaching) {
+        let [near, far] = [f64::min, f64::max].map(|of: fn(f64, f64) -> f64| {
+            self.views.iter().map(|view| view.z_m).reduce(of).unwrap_or(1.0)
+        });
+        let mut start = self.guess.clone();
+        start.correction.seen_m = [near / BEYOND_SEEN, far * BEYOND_SEEN];
+        if !self.is_stated {
+            start.lens = same_view(color.lens(), color.size(), self.size);
+        }
+        let prior = DepthInformation::prior(color.known(), &start).depth.by_depth;
+        let views: Vec<_> = self.with_color(color).collect();
+        let each: Vec<_> =
+            (views.iter()).map(|(taught, measured)| (*taught, measured.tiles.as_slice())).collect();
+        let Some(fitted) = fit_depth(&start, &prior, &each) else { return };
+        let numbers: Vec<u32> = views.iter().map(|(_, measured)| measured.number).collect();
+        let FittedDepth { depth, scatter, used, .. } = fitted;
+        (self.depth, self.scatter) = (depth, scatter);
+        for (number, used) in numbers.into_iter().zip(used) {
+            let view = self.views.iter_mut().find(|view| view.number == number);
+            view.into_iter().for_each(|view| view.few = few(&view.tiles, &used));
+        }
+        self.estimated_among = self.views.len();
+        self.noise.learn(self.views.iter().map(|view| (view.z_m, view.tiles.as_slice())));
+    }
+}
+
+impl DepthNow {
+    /// The relative drop of the criterion.
+    pub(super) fn drop(&self, after: &[f64]) -> f64 {
+        1.0 - self.goal.criterion_px(after) / self.goal.criterion_px(&self.std_px)
+    }
+}
+
+impl MeasuredView {
+    fn new(number: u32, tiles: Vec<DepthTile>) -> Self {
+        let mean = tiles.iter().map(|tile| tile.inverse_depth).sum::<f64>();
+        let z_m = tiles.len() as f64 / mean.max(f64::MIN_POSITIVE);
+        let few = few(&tiles, &vec![true; tiles.len()]);
+        Self { number, tiles, few, z_m }
+    }
+
+    /// The same as the `number`-th view.
+    #[must_use]
+    pub fn numbered(self, number: u32) -> Self {
+        Self { number, ..self }
+    }
+}
+
+/// A few of the used tiles, and for how many each stands. Taken by the golden ratio, so that rows
+/// and columns of tiles are no pattern of theirs.
+pub(super) fn few(tiles: &[DepthTile], used: &[bool]) -> (Vec<DepthTile>, f64) {
+    let used: Vec<DepthTile> =
+        tiles.iter().zip(used).filter(|(_, used)| **used).map(|(tile, _)| *tile).collect();
+    if used.len() <= FEW {
+        return (used, 1.0);
+    }
+    let golden = 0.5 * (5.0_f64.sqrt() - 1.0);
+    let place = |k: usize| ((k as f64 * golden).fract() * used.len() as f64) as usize;
+    let few = (0..FEW).map(|k| used[place(k).min(used.len() - 1)]).collect();
+    (few, used.len() as f64 / FEW as f64)
+}
+
+/// The nearest, a middle and the farthest distance that boards were measured at; `None` before the
+/// first.
+fn distances_m(views: &[MeasuredView]) -> Option<Vec<f64>> {
+    let near = views.iter().map(|view| view.z_m).reduce(f64::min)?;
+    let far = views.iter().map(|view| view.z_m).reduce(f64::max)?;
+    Some(vec![near, (near * far).sqrt(), far])
+}
