@@ -214,7 +214,7 @@ fn kept(
         let frame = |(camera, index): (usize, &Option<usize>)| {
             let image = &searched[camera][(*index)?];
             let seen = image.answer.clone().map(FrameContent::from).map_err(Rejection::NoBoard);
-            Some(CameraFrame { frame: image.frame.clone(), seen })
+            Some(CameraFrame { frame: image.frame.clone(), seen, depth: None })
         };
         let given: Vec<Option<CameraFrame>> = each.map(frame).collect();
         let is_view = |camera: usize| match (&given[camera], is_timed) {

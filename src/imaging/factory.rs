@@ -46,6 +46,14 @@ pub struct FactorySensor {
     pub color_from_sensor: Option<Pose>,
 }
 
+impl FactorySensor {
+    /// Its lens, and where color is seen from it, where both are stated for images of this size.
+    pub fn lens_and_pose(&self, size: ImageSize) -> Option<(Lens, Pose)> {
+        let sensor_from_color = self.color_from_sensor?.inverse();
+        (self.image_size == size).then_some((self.lens?, sensor_from_color))
+    }
+}
+
 /// A lens in the device's own terms.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StatedLens {

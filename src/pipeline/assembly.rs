@@ -22,6 +22,7 @@ use crate::calibration::session::CameraFrame;
 use crate::calibration::session::gate::{Gate, KeptSoFar};
 use crate::calibration::target::CalibrationTarget;
 use crate::imaging::factory::FactoryCalibration;
+use crate::imaging::frame::SensorKind;
 use crate::pipeline::board_search::BoardSearch;
 use crate::pipeline::message::{Message, SeenFrameSet};
 use crate::pipeline::metrics::Metrics;
@@ -257,7 +258,7 @@ impl Finishing {
         target: &CalibrationTarget,
         kept: &KeptSoFar,
     ) -> SeenFrameSet {
-        let mut observed = observed(&frames);
+        let mut observed = observed(&frames, &self.factories);
         if let CalibrationTarget::Board(board) = target
             && self.gate.may_keep(&observed, kept)
         {
@@ -267,15 +268,19 @@ impl Finishing {
                     self.search.observe_all(seen, board, encoding);
                 }
             }
-            observed = self::observed(&frames);
+            observed = self::observed(&frames, &self.factories);
         }
         self.gate.take(&observed);
         SeenFrameSet { frames, observed }
     }
 }
 
-fn observed(frames: &[Option<SeenFrame>]) -> Vec<Option<CameraFrame>> {
-    frames.iter().map(|seen| seen.as_ref().map(SeenFrame::to_camera_frame)).collect()
+fn observed(frames: &[Option<SeenFrame>], factories: &[SharedFactory]) -> Vec<Option<CameraFrame>> {
+    let of_one = |(seen, factory): (&Option<SeenFrame>, &SharedFactory)| {
+        let factory = lock(factory);
+        Some(seen.as_ref()?.to_camera_frame(factory.sensor(SensorKind::Depth)))
+    };
+    frames.iter().zip(factories).map(of_one).collect()
 }
 
 impl Queues {

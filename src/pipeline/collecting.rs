@@ -1,15 +1,19 @@
 //! Begins and ends a session: acquires its cameras, and assembles their frames.
 
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError};
 
 use ulid::Ulid;
 
 use crate::calibration::guidance::Guidance;
 use crate::calibration::scene::correspondence::SceneImage;
 use crate::calibration::session::gate::KeptSoFar;
-use crate::calibration::session::{Action, KeptView, Session, SessionOver};
+use crate::calibration::session::{Action, DepthFrame, KeptView, Session, SessionOver};
 use crate::calibration::session_record::{SessionRecord, SessionRequest, SessionState};
 use crate::calibration::view::{FrameFacts, View};
+use crate::imaging::depth_encoding::DepthEncoding;
+use crate::imaging::depth_image::DepthImage;
+use crate::imaging::frame::SensorKind;
+use crate::imaging::image_file::frame_from_file;
 use crate::pipeline::assembly::{Assembly, AssemblyPlan};
 use crate::pipeline::auxiliary::AuxiliaryViews;
 use crate::pipeline::clock::utc_now_ns;
@@ -54,7 +58,43 @@ impl SessionThread {
             return Session::resume_scene(record, &key_frames, &self.admission);
         }
         let (views, members) = (self.kept_views(stored), self.instrument.member_names());
-        Session::resume(record, &members, &views, &self.admission)
+        let id = record.id.clone();
+        let depth = |place: &KeptView| self.kept_depth(&id, stored, place);
+        Session::resume_with_depth(record, &members, (&views, depth), &self.admission)
+    }
+
+    /// The stored depth image of a view; `None` where there is none, or it cannot be decoded.
+    fn kept_depth(
+        &self,
+        session: &str,
+        stored: &[SensorView],
+        place: &KeptView,
+    ) -> Option<DepthFrame> {
+        let name = self.instrument.is_rig.then(|| self.instrument.member_names());
+        let name = name.and_then(|names| names.get(place.camera).cloned());
+        let together = || {
+            let is_own = |view: &&SensorView| {
+                view.frame_set == place.frame_set && view.sensor.camera == name
+            };
+            stored.iter().filter(is_own)
+        };
+        let depth = together().find(|view| view.sensor.kind == SensorKind::Depth)?;
+        let size = depth.frame.image_size;
+        let picture = self.store.sensor_picture(session, place.frame_set, &depth.sensor).ok()??;
+        let frame = frame_from_file(SensorKind::Depth, picture.bytes);
+        let sees = |view: &SensorView| {
+            view.sensor.kind.is_of_depth()
+                && view.frame.image_size == size
+                && view.detection.is_some()
+        };
+        let factory = self.instrument.cameras.get(place.camera)?.factory.lock();
+        let factory = factory.unwrap_or_else(PoisonError::into_inner);
+        Some(DepthFrame {
+            image: Arc::new(DepthImage::from_frame(&frame).ok()?),
+            encoding: depth.depth_encoding.unwrap_or(DepthEncoding::ORDINARY),
+            factory: factory.sensor(SensorKind::Depth).and_then(|it| it.lens_and_pose(size)),
+            infrared_sees: together().any(sees),
+        })
     }
 
     /// The stored key frames with the features of their images, in the order they were kept.

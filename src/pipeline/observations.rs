@@ -87,10 +87,7 @@ fn depth_sensor(
     DepthSensor {
         reading: encoding.reading,
         invalid: encoding.invalid,
-        factory: stated.filter(|stated| stated.image_size == size).and_then(|stated| {
-            let depth_from_color = stated.color_from_sensor?.inverse();
-            Some((stated.lens?, depth_from_color))
-        }),
+        factory: stated.and_then(|stated| stated.lens_and_pose(size)),
         with_infrared,
     }
 }

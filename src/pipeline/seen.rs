@@ -4,12 +4,13 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use crate::calibration::admission::Rejection;
-use crate::calibration::session::CameraFrame;
+use crate::calibration::session::{CameraFrame, DepthFrame};
 use crate::calibration::view::FrameFacts;
 use crate::detection::board_detection::Detection;
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::depth_encoding::DepthEncoding;
 use crate::imaging::depth_image::DepthImage;
+use crate::imaging::factory::FactorySensor;
 use crate::imaging::frame::{Frame, FrameSet, SensorKind};
 use crate::pipeline::live_frame::{FrameDetection, NoDetection};
 use crate::store::Picture;
@@ -59,8 +60,8 @@ impl SensorObservation {
 }
 
 impl SeenFrame {
-    /// What the session observes of it.
-    pub(super) fn to_camera_frame(&self) -> CameraFrame {
+    /// What the session observes of it; `stated` is what the device states of its depth sensor.
+    pub(super) fn to_camera_frame(&self, stated: Option<&FactorySensor>) -> CameraFrame {
         let seen = match &self.detection.outcome {
             Ok(content) => Ok(content.clone()),
             Err(NoDetection::NoBoard(reason)) => Err(Rejection::NoBoard(reason.clone())),
@@ -68,7 +69,21 @@ impl SeenFrame {
                 Err(Rejection::Unreadable { detail: detail.clone() })
             }
         };
-        CameraFrame { frame: frame_facts(&self.frame_set), seen }
+        let depth = self.depth(stated);
+        CameraFrame { frame: frame_facts(&self.frame_set), seen, depth }
+    }
+
+    fn depth(&self, stated: Option<&FactorySensor>) -> Option<DepthFrame> {
+        let depth = self.sensors.iter().find(|of| of.sensor == SensorKind::Depth)?;
+        let sees = |of: &SensorObservation| {
+            of.sensor.is_of_depth() && of.image_size == depth.image_size && of.detection.is_some()
+        };
+        Some(DepthFrame {
+            image: depth.depth.clone()?,
+            encoding: depth.depth_encoding.unwrap_or(DepthEncoding::ORDINARY),
+            factory: stated.and_then(|stated| stated.lens_and_pose(depth.image_size)),
+            infrared_sees: self.sensors.iter().any(sees),
+        })
     }
 
     /// When the host received it, in nanoseconds since the Unix epoch.

@@ -9,6 +9,7 @@ mod board_border;
 mod coded_targets;
 mod coded_tracking;
 mod corner_accuracy;
+mod depth_guidance;
 mod depth_information;
 mod detection;
 mod estimation;

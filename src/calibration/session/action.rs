@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use crate::calibration::admission::Rejection;
 use crate::calibration::scene::correspondence::SceneImage;
+use crate::calibration::session::depth_part::DepthFrame;
 use crate::calibration::view::FrameFacts;
 use crate::detection::board_detection::Detection;
 
@@ -14,6 +15,8 @@ pub struct CameraFrame {
     pub frame: FrameFacts,
     /// What of the session's target is in it, or why nothing is.
     pub seen: Result<FrameContent, Rejection>,
+    /// The depth image that was taken with it, where there is one and the frame may be kept.
+    pub depth: Option<DepthFrame>,
 }
 
 /// What a frame shows of a session's target.

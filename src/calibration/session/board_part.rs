@@ -1,6 +1,8 @@
 //! What one camera of an instrument has gathered of a board in a session: its views, what it needs
 //! next, and how far its lens is known.
 
+mod worth;
+
 use crate::calibration::admission::{AdmissionOptions, Rejection, SeenBefore, admit};
 use crate::calibration::coverage::Coverage;
 use crate::calibration::information::next_view::SuggestedView;
@@ -11,10 +13,11 @@ use crate::calibration::running_estimate::{EstimateSoFar, GoingOn};
 use crate::calibration::session::action::CameraFrame;
 use crate::calibration::session::advice::{Advice, Now};
 use crate::calibration::session::approach::Approach;
+use crate::calibration::session::depth_part::{DepthFrame, DepthPart, SeenDepth};
 use crate::calibration::session::ending::LEAST_VIEWS;
 use crate::calibration::session::progress::{FrameTime, Obstacle};
 use crate::calibration::session_record::{Finish, SessionMember, SessionRequest};
-use crate::calibration::view::{FrameFacts, View, target_as_seen};
+use crate::calibration::view::{FrameFacts, View};
 use crate::detection::board_detection::{Detection, NoBoard};
 use crate::estimation::problem::LensChoice;
 use crate::geometry::pixel::ImageSize;
@@ -24,11 +27,8 @@ use crate::geometry::target::Target;
 /// An uncertainty estimated from fewer views is not worth stopping for, unless the request says so.
 const LEAST_VIEWS_FOR_GOAL: u32 = 8;
 
-/// Placements that differ by so many steps teach a lens that nothing is known of yet.
-const FIRST_STEPS: f64 = 0.6;
-/// While the board is brought to the suggested view, what teaches less than this part of it is not
-/// taken.
-const GOOD_PART: f64 = 0.7;
+/// What a view teaches: of color, unless no pose explains it, and of depth.
+type Taught = (Option<TaughtView>, SeenDepth);
 
 /// One camera's part of a session with a board.
 #[derive(Debug, Clone)]
@@ -47,8 +47,12 @@ pub struct BoardPart {
     newest_ns: i64,
     /// The view that teaches this camera most; what is asked for unless the rig needs another.
     own: Option<SuggestedView>,
+    /// That, or the one that teaches its depth most where depth is less known.
+    requested: Option<SuggestedView>,
     /// Another one is asked for.
     asked_to_share: bool,
+    /// What was gathered of its depth, where it measures that.
+    depth: DepthPart,
     advice: Advice,
     before: Option<SeenBefore>,
     approach: Approach,
@@ -89,7 +93,9 @@ impl BoardPart {
             newest: None,
             newest_ns: 0,
             own: None,
+            requested: None,
             asked_to_share: false,
+            depth: DepthPart::default(),
             advice: Advice::default(),
             before: None,
             approach: Approach::default(),
@@ -158,7 +164,8 @@ impl BoardPart {
     pub(super) fn ask_for(&mut self, shared: Option<SuggestedView>) {
         if shared.is_some() || self.asked_to_share {
             self.asked_to_share = shared.is_some();
-            self.advice.renew(shared.or_else(|| self.own.clone()));
+            let own = || self.requested.clone();
+            self.advice.renew(shared.or_else(own));
             let camera_from_board = self.newest.as_ref().map(|newest| newest.camera_from_board);
             self.advise(self.newest_ns, camera_from_board.as_ref());
         }
@@ -192,6 +199,13 @@ impl BoardPart {
         self.newest.clone_from(&taught);
         self.newest_ns = seen.frame.time_ns();
         let admission = self.admit(seen, taught);
+        let is_known = admission.as_ref().is_err_and(Rejection::is_known_already);
+        if let (true, Some(color), Some(shown)) = (is_known, &self.teaching, &camera_from_board)
+            && !self.asked_to_share
+            && self.depth.refuses(color, shown)
+        {
+            self.request();
+        }
         self.obstacle.note(&admission);
         if let Err(rejection) = &admission {
             self.summary.rejected.count(rejection);
@@ -205,8 +219,8 @@ impl BoardPart {
         self.image_size().is_none_or(|expected| expected == frame.image_size)
             && admit(detection, frame, self.before.as_ref(), &self.placements, &self.options)
                 .and_then(|placement| {
-                    let taught = self.taught(frame, detection);
-                    self.place_for(frame, &placement, taught.as_ref())
+                    let taught = (self.taught(frame, detection), SeenDepth::default());
+                    self.place_for(frame, &placement, &taught)
                 })
                 .is_ok()
     }
@@ -225,26 +239,27 @@ impl BoardPart {
     /// Keeps a detection that teaches this camera nothing new, for what it teaches of the
     /// instrument: another camera saw the board in the same frame set. `None` where it cannot be a
     /// view at all.
-    pub(super) fn keep_shared(&mut self, frame: &FrameFacts, detection: &Detection) -> Option<u32> {
+    pub(super) fn keep_shared(&mut self, seen: &CameraFrame) -> Option<u32> {
+        let (frame, detection) = (&seen.frame, seen.board()?);
         let room = self.views.len() < self.options.view_limit as usize;
         let fits = self.image_size().is_none_or(|expected| expected == frame.image_size);
         let placement = Placement::of(detection, frame.image_size).filter(|_| room && fits)?;
-        let taught = self.taught(frame, detection);
+        let taught = self.taught_by((frame, detection), seen.depth.as_ref());
         Some(self.add((frame, detection), placement, taught))
     }
 
     /// Takes back a view as it was stored. What was admitted once has a placement; one without
     /// would change the numbers that rejections name.
-    pub(super) fn restore(&mut self, view: &View) -> Option<u32> {
+    pub(super) fn restore(&mut self, view: &View, depth: Option<&DepthFrame>) -> Option<u32> {
         let (frame, detection) = (&view.frame, &view.detection);
         let placement = Placement::of(detection, frame.image_size)?;
         self.prepare(frame.image_size);
-        let taught = self.taught(frame, detection);
+        let taught = self.taught_by((frame, detection), depth);
         if self.views.len() < self.options.view_limit as usize {
             return Some(self.add((frame, detection), placement, taught));
         }
         // One that was exchanged is stored too.
-        let place = self.place_for(frame, &placement, taught.as_ref()).ok().flatten()?;
+        let place = self.place_for(frame, &placement, &taught).ok().flatten()?;
         Some(self.exchange(place, (frame, detection), placement, taught))
     }
 
@@ -258,6 +273,7 @@ impl BoardPart {
                 estimate.views >= least.unwrap_or(LEAST_VIEWS_FOR_GOAL)
                     && estimate.uncertainty_px.median <= goal_px
                     && self.model_holds
+                    && self.depth.reaches(goal_px / self.harder())
             }),
         }
     }
@@ -302,73 +318,14 @@ impl BoardPart {
                 if self.goal_px.is_some() { GoalFigure::Median } else { GoalFigure::Worst };
             let teaching = Teaching::new(&self.target, size, (self.lens, figure));
             self.own = teaching.suggest(self.goal_px);
+            self.requested.clone_from(&self.own);
             self.advice.renew(self.own.clone());
             self.teaching = Some(teaching);
         }
     }
 
-    /// What a detection would teach; `None` where no pose of the whole board explains it.
-    fn taught(&self, frame: &FrameFacts, detection: &Detection) -> Option<TaughtView> {
-        let fits = self.image_size().is_none_or(|expected| expected == frame.image_size);
-        let teaching = self.teaching.as_ref().filter(|_| fits && detection.position_known)?;
-        let number = self.views.len() as u32;
-        let view = View { number, frame: frame.clone(), detection: detection.clone() };
-        let target = target_as_seen(&self.target, [&view]);
-        teaching.view(number, view.to_board_view(&target), detection.blur_px)
-    }
-
-    /// Whether a view teaches enough to be kept: the place of the view that goes for it, `None`
-    /// while there is room. One of which nothing can be said beforehand is kept: the solve decides.
-    fn place_for(
-        &self,
-        frame: &FrameFacts,
-        placement: &Placement,
-        taught: Option<&TaughtView>,
-    ) -> Result<Option<u32>, Rejection> {
-        let full = Rejection::Full { limit: self.options.view_limit };
-        let is_full = self.views.len() >= self.options.view_limit as usize;
-        let (Some(teaching), Some(taught)) = (&self.teaching, taught) else {
-            return if is_full { Err(full) } else { Ok(None) };
-        };
-        let (gain, needed) = (teaching.gain(taught), self.share());
-        let awaited = self.awaited(frame, &taught.camera_from_board);
-        // Before the lens is estimated every other placement counts towards estimating it.
-        let steps = self.placements.iter().map(|kept| kept.steps_to(placement));
-        let counts = !teaching.is_estimated() && steps.fold(f64::INFINITY, f64::min) >= FIRST_STEPS;
-        if !self.views.is_empty() && gain < needed && !counts {
-            return Err(Rejection::TeachesLittle { gain, needed });
-        }
-        if let Some(needed) = awaited {
-            let gain = teaching.drop(taught);
-            if gain < needed {
-                return Err(Rejection::TeachesLittle { gain, needed });
-            }
-        }
-        if !is_full {
-            return Ok(None);
-        }
-        match teaching.least_informative() {
-            Some((least, loss)) if loss < gain => Ok(Some(least)),
-            _ => Err(full),
-        }
-    }
-
-    /// What a view must teach to be kept: its share of what the others taught.
-    fn share(&self) -> f64 {
-        0.5 * self.options.worth / self.views.len().max(1) as f64
-    }
-
-    /// While the board is about to arrive at the suggested view: by how much another one must lower
-    /// the goal, a good part of what that does.
-    fn awaited(&self, frame: &FrameFacts, camera_from_board: &Pose) -> Option<f64> {
-        let (teaching, suggested) = (self.teaching.as_ref()?, self.advice.suggested.as_ref()?);
-        let poses = [camera_from_board, &suggested.camera_from_board];
-        let arriving = self.approach.is_arriving(frame, poses, teaching);
-        arriving.then_some(GOOD_PART * suggested.drop)
-    }
-
     fn admit(&mut self, seen: &CameraFrame, taught: Option<TaughtView>) -> Result<u32, Rejection> {
-        let CameraFrame { frame, seen } = seen;
+        let CameraFrame { frame, seen, depth } = seen;
         let content = seen.as_ref().inspect_err(|_| self.before = None).map_err(Clone::clone)?;
         // A session with a board has boards searched for, and nothing else.
         let detection = content.board().ok_or(Rejection::NoBoard(NoBoard::NoCorners))?;
@@ -382,7 +339,10 @@ impl BoardPart {
             _ => {}
         }
         let placement = admit(detection, frame, before.as_ref(), &self.placements, &self.options)?;
-        Ok(match self.place_for(frame, &placement, taught.as_ref())? {
+        let depth = (depth.as_ref(), taught.as_ref());
+        let depth = self.depth.seen(&self.target, self.teaching.as_ref(), depth);
+        let taught = (taught, depth);
+        Ok(match self.place_for(frame, &placement, &taught)? {
             None => self.add((frame, detection), placement, taught),
             Some(place) => self.exchange(place, (frame, detection), placement, taught),
         })
@@ -394,7 +354,7 @@ impl BoardPart {
         number: u32,
         (frame, detection): (&FrameFacts, &Detection),
         placement: Placement,
-        taught: Option<TaughtView>,
+        (taught, depth): Taught,
     ) -> u32 {
         let at = number as usize;
         self.summary.coverage.add(detection, frame.image_size);
@@ -405,27 +365,41 @@ impl BoardPart {
         if let Some(teaching) = &mut self.teaching {
             teaching.remove(number);
         }
-        self.teach(taught.map(|taught| taught.numbered(number)));
+        self.depth.remove(number);
+        self.teach(number, taught.map(|taught| taught.numbered(number)), depth);
         number
     }
 
     /// Takes in what a view teaches, and asks for the next one.
-    fn teach(&mut self, taught: Option<TaughtView>) {
+    fn teach(&mut self, number: u32, taught: Option<TaughtView>, depth: SeenDepth) {
         let Some(teaching) = &mut self.teaching else { return };
         if let Some(taught) = taught {
             teaching.add(taught);
+            self.depth.add(number, depth, teaching);
         }
-        let goal_px = self.goal_px.map(|goal_px| goal_px / self.harder());
+        let goal_px = self.harder_goal_px();
         self.own = self.teaching.as_ref().and_then(|teaching| teaching.suggest(goal_px));
+        self.request();
+    }
+
+    /// Asks for the view that teaches it most.
+    fn request(&mut self) {
+        let goal_px = self.harder_goal_px();
+        let Some(teaching) = &self.teaching else { return };
+        self.requested = self.depth.request(teaching, self.own.as_ref(), goal_px);
         self.asked_to_share = false;
-        self.advice.renew(self.own.clone());
+        self.advice.renew(self.requested.clone());
+    }
+
+    fn harder_goal_px(&self) -> Option<f64> {
+        self.goal_px.map(|goal_px| goal_px / self.harder())
     }
 
     fn add(
         &mut self,
         (frame, detection): (&FrameFacts, &Detection),
         placement: Placement,
-        taught: Option<TaughtView>,
+        (taught, depth): Taught,
     ) -> u32 {
         let number = self.views.len() as u32;
         if self.views.is_empty() {
@@ -435,7 +409,7 @@ impl BoardPart {
         self.views.push(View { number, frame: frame.clone(), detection: detection.clone() });
         self.placements.push(placement);
         self.summary.views_kept = self.views.len() as u32;
-        self.teach(taught);
+        self.teach(number, taught, depth);
         number
     }
 

@@ -9,6 +9,7 @@ use crate::calibration::scene::key_frames::KeyFrame;
 use crate::calibration::scene::so_far::SceneSoFar;
 use crate::calibration::session::action::CameraFrame;
 use crate::calibration::session::board_part::BoardPart;
+use crate::calibration::session::depth_part::DepthFrame;
 use crate::calibration::session::ending::LEAST_VIEWS;
 use crate::calibration::session::scene_part::ScenePart;
 use crate::calibration::session_record::{Finish, SessionMember, SessionRequest};
@@ -155,17 +156,17 @@ impl CameraPart {
     /// Keeps a detection that teaches this camera nothing new, for what it teaches of the
     /// instrument: another camera saw the board in the same frame set. `None` where it cannot be a
     /// view at all.
-    pub(super) fn keep_shared(&mut self, frame: &FrameFacts, detection: &Detection) -> Option<u32> {
+    pub(super) fn keep_shared(&mut self, seen: &CameraFrame) -> Option<u32> {
         match self {
-            Self::Board(board) => board.keep_shared(frame, detection),
+            Self::Board(board) => board.keep_shared(seen),
             Self::Scene(_) => None,
         }
     }
 
-    /// Takes back a view of a board as it was stored.
-    pub(super) fn restore(&mut self, view: &View) -> Option<u32> {
+    /// Takes back a view of a board as it was stored, with what depth was taken with it.
+    pub(super) fn restore(&mut self, view: &View, depth: Option<&DepthFrame>) -> Option<u32> {
         match self {
-            Self::Board(board) => board.restore(view),
+            Self::Board(board) => board.restore(view, depth),
             Self::Scene(_) => None,
         }
     }

@@ -5,7 +5,8 @@
 //! A single camera is an instrument of one. Each camera keeps the views that teach something of its
 //! own lens; with each of them, the other cameras that see the board in that frame set keep theirs
 //! too, new to them or not: it says where they are. What two cameras see together is also kept for
-//! what it teaches of both (`pairs`). A view is shared only if the board hardly moved between the
+//! what it teaches of both (`pairs`), and what depth measures for what it teaches of the depth camera
+//! (`depth_part`). A view is shared only if the board hardly moved between the
 //! two images.
 //!
 //! It reads no clock and starts no thread: time comes inside frames and requests. Which views are
@@ -17,10 +18,12 @@ mod advice;
 mod approach;
 mod board_part;
 pub mod camera;
+mod depth_part;
 mod ending;
 pub mod gate;
 mod pairs;
 mod progress;
+mod resume;
 mod scene_part;
 mod sharing;
 mod together;
@@ -29,13 +32,13 @@ use crate::calibration::admission::{AdmissionOptions, Rejection};
 use crate::calibration::guidance::Guidance;
 use crate::calibration::placement::Placement;
 use crate::calibration::running_estimate::EstimateSoFar;
-use crate::calibration::scene::correspondence::SceneImage;
 use crate::calibration::scene::key_frames::KeyFrame;
 use crate::calibration::scene::so_far::SceneSoFar;
 pub use crate::calibration::session::action::{
     Action, CameraFrame, FrameContent, KeptView, Observed,
 };
 use crate::calibration::session::camera::CameraPart;
+pub use crate::calibration::session::depth_part::DepthFrame;
 pub use crate::calibration::session::ending::{LEAST_VIEWS, SessionOver};
 use crate::calibration::session::pairs::Pairs;
 use crate::calibration::session::sharing::{Sharing, next_step};
@@ -87,64 +90,6 @@ impl Session {
         };
         session.renew(!cameras.is_empty());
         session
-    }
-
-    /// A session as it was stored, with its views in order; those of a camera that is not in the
-    /// rig any more have a place that it does not have, and are left out. One that was collecting
-    /// goes on collecting, one that was solving solves again.
-    pub fn resume(
-        record: SessionRecord,
-        cameras: &[String],
-        views: &[(KeptView, View)],
-        options: &AdmissionOptions,
-    ) -> (Self, Vec<Action>) {
-        let mut session = Self::begin(record, cameras, options);
-        session.record.reason = None;
-        for (place, view) in views {
-            session.next_number = session.next_number.max(place.number + 1);
-            let Some(camera) = session.cameras.get_mut(place.camera) else { continue };
-            if let Some(own) = camera.restore(view) {
-                session.frame_sets = session.frame_sets.max(place.frame_set + 1);
-                session.kept.retain(|old| (old.camera, old.view) != (place.camera, own));
-                session.kept.push(KeptView { view: own, ..*place });
-            }
-        }
-        let actions = session.resumed();
-        (session, actions)
-    }
-
-    /// As [`Session::resume`], of a session without a board: its key frames in order, each with the
-    /// number of its view.
-    pub fn resume_scene(
-        record: SessionRecord,
-        key_frames: &[(KeptView, FrameFacts, SceneImage)],
-        options: &AdmissionOptions,
-    ) -> (Self, Vec<Action>) {
-        let mut session = Self::begin(record, &[], options);
-        session.record.reason = None;
-        for (place, frame, image) in key_frames {
-            session.next_number = session.next_number.max(place.number + 1);
-            session.frame_sets = session.frame_sets.max(place.frame_set + 1);
-            let camera = session.cameras.first_mut();
-            if let Some(view) = camera.and_then(|part| part.restore_key_frame(frame, image)) {
-                session.kept.push(KeptView { camera: 0, view, ..*place });
-            }
-        }
-        let actions = session.resumed();
-        (session, actions)
-    }
-
-    /// What to do first with its views back.
-    fn resumed(&mut self) -> Vec<Action> {
-        self.pair_up();
-        self.renew(self.is_rig());
-        let mut actions = vec![Action::Announce];
-        match self.record.state {
-            SessionState::Solving => actions.push(Action::Solve),
-            SessionState::Collecting => actions.extend(self.request_estimates(|_| true)),
-            _ => {}
-        }
-        actions
     }
 
     /// The session as seen from outside.
@@ -210,7 +155,7 @@ impl Session {
         seen: Result<impl Into<FrameContent>, Rejection>,
     ) -> Option<Observed> {
         let seen = seen.map(Into::into);
-        self.observe(&[Some(CameraFrame { frame, seen })])
+        self.observe(&[Some(CameraFrame { frame, seen, depth: None })])
     }
 
     /// Whether the camera at this place would keep `frame` for what was detected in it, if it were
@@ -384,8 +329,7 @@ impl Session {
                 if let Some(Err(rejection)) = &admissions[other]
                     && is_known(rejection)
                     && let Some(seen) = &frame_set[other]
-                    && let Some(detection) = seen.board()
-                    && let Some(view) = self.cameras[other].keep_shared(&seen.frame, detection)
+                    && let Some(view) = self.cameras[other].keep_shared(seen)
                 {
                     admissions[other] = Some(Ok(view));
                 }

@@ -45,7 +45,7 @@ fn board(across: f64, far: f64, tilt: f64) -> Detection {
 }
 
 fn sees(time_ms: i64, detection: Detection) -> Option<CameraFrame> {
-    Some(CameraFrame { frame: frame(time_ms), seen: Ok(detection.into()) })
+    Some(CameraFrame { frame: frame(time_ms), seen: Ok(detection.into()), depth: None })
 }
 
 fn places(session: &Session) -> Vec<(usize, u32, u32)> {
@@ -58,6 +58,7 @@ fn what_is_new_to_one_camera_is_kept_of_all_that_see_it() {
     let none = Some(CameraFrame {
         frame: frame(0),
         seen: Err(Rejection::Partial { seen: 40, expected: 54 }),
+        depth: None,
     });
     let first = [sees(0, board(0.0, 0.5, 0.0)), sees(0, board(-0.1, 0.5, 0.0)), none];
     let observed = session.observe(&first).unwrap();
@@ -240,7 +241,7 @@ impl Shown {
         let frames = camera_from_board.map(|pose| {
             let none = Err(Rejection::Partial { seen: 40, expected: 54 });
             let seen = pose.map_or(none, |pose| Ok(seen_at(&pose, &mut self.seed).into()));
-            Some(CameraFrame { frame: frame(self.time_ms), seen })
+            Some(CameraFrame { frame: frame(self.time_ms), seen, depth: None })
         });
         let observed = self.session.observe(&frames).unwrap();
         self.solves |= perform(&mut self.session, &observed.actions);

@@ -5,6 +5,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
+use crate::calibration::scene::correspondence::SceneImage;
 use crate::calibration::scene::key_frames::MOST_KEY_FRAMES;
 use crate::calibration::session_record::{Finish, SessionRequest};
 use crate::calibration::target::CalibrationTarget;
@@ -92,7 +93,8 @@ impl Walk {
     fn show(&mut self, image: SceneImage) -> Result<u32, &'static str> {
         let frame = self.frame();
         let seen = Ok(FrameContent::Scene(image));
-        let observed = self.session.observe(&[Some(CameraFrame { frame, seen })]).unwrap();
+        let observed =
+            self.session.observe(&[Some(CameraFrame { frame, seen, depth: None })]).unwrap();
         observed.admissions[0].clone().unwrap().map_err(|rejection| rejection.kind())
     }
 

@@ -1,0 +1,168 @@
+//! What one camera of an instrument has gathered of its depth in a session, and the view to ask for
+//! that teaches it.
+//!
+//! Depth counts once a view has it. A device whose infrared camera sees the board gets its depth's
+//! lens and place from there, as in the solve, and nothing is asked for on behalf of planes.
+
+use std::sync::Arc;
+
+use crate::calibration::information::depth_teaching::{DepthTeaching, MeasuredView, StatedDepth};
+use crate::calibration::information::next_depth_view::{DepthView, suggest_depth_view};
+use crate::calibration::information::next_view::SuggestedView;
+use crate::calibration::information::teaching::{TaughtView, Teaching};
+use crate::geometry::lens::Lens;
+use crate::geometry::pose::Pose;
+use crate::geometry::target::Target;
+use crate::imaging::depth_encoding::DepthEncoding;
+use crate::imaging::depth_image::DepthImage;
+
+/// The depth image that was taken with a color image.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DepthFrame {
+    /// The readings.
+    pub image: Arc<DepthImage>,
+    /// What they mean.
+    pub encoding: DepthEncoding,
+    /// The lens that the device states, and where color is.
+    pub factory: Option<(Lens, Pose)>,
+    /// Whether the infrared camera that measures depth sees the board too.
+    pub infrared_sees: bool,
+}
+
+/// A depth camera's part of a session.
+#[derive(Debug, Clone, Default)]
+pub(super) struct DepthPart {
+    teaching: Option<DepthTeaching>,
+    /// Views in which infrared sees the board.
+    by_infrared: usize,
+    next: Option<DepthView>,
+    /// The view that teaches depth most is asked for.
+    is_asked_for: bool,
+}
+
+/// What depth shows of a view that may be kept.
+#[derive(Debug, Clone, Default)]
+pub(super) struct SeenDepth {
+    measured: Option<MeasuredView>,
+    infrared_sees: bool,
+}
+
+/// A board is where it is asked for within this effort: a tenth of its distance, or twelve degrees.
+const ARRIVED: f64 = 0.2;
+/// Depth that fits no camera after so many views is left to the verdict: a session that waited for
+/// it would never end.
+const GIVEN_UP: usize = 10;
+/// The solve takes infrared from so many views on.
+const LEAST_INFRARED: usize = 3;
+
+impl DepthPart {
+    /// What the depth image shows that was taken with `taught`.
+    pub(super) fn seen(
+        &mut self,
+        target: &Target,
+        color: Option<&Teaching>,
+        (frame, taught): (Option<&DepthFrame>, Option<&TaughtView>),
+    ) -> SeenDepth {
+        let (Some(color), Some(frame), Some(taught)) = (color, frame, taught) else {
+            return SeenDepth::default();
+        };
+        // Disparity of unknown meaning is left to the solve.
+        let Some(reading) = frame.encoding.reading else { return SeenDepth::default() };
+        let teaching = self.teaching.get_or_insert_with(|| {
+            let size = frame.image.size();
+            let invalid = frame.encoding.invalid;
+            let stated = StatedDepth { size, reading, invalid, factory: frame.factory };
+            DepthTeaching::new(target, color, &stated)
+        });
+        let measured = teaching.measure(&frame.image, taught);
+        SeenDepth { measured, infrared_sees: frame.infrared_sees }
+    }
+
+    /// What was shown about where a view is asked for on behalf of depth is not worth keeping, nor
+    /// would it be again: whether another one should be asked for.
+    pub(super) fn refuses(&mut self, color: &Teaching, shown: &Pose) -> bool {
+        let Some(next) = self.next.as_ref().filter(|_| self.is_asked_for) else { return false };
+        let is_there = color.effort(shown, &next.camera_from_board) < ARRIVED;
+        let teaching = self.teaching.as_mut().filter(|_| is_there);
+        teaching.is_some_and(|teaching| {
+            teaching.refuse(next.camera_from_board);
+            true
+        })
+    }
+
+    /// Whether a view is worth keeping for what it teaches of depth: at least `worth` of half of
+    /// what the views with depth taught on average. The first ones are.
+    pub(super) fn is_taught(&self, taught: &TaughtView, seen: &SeenDepth, worth: f64) -> bool {
+        let Some(teaching) = self.counted() else { return false };
+        seen.measured.is_some()
+            && teaching.gain(taught, seen.measured.as_ref())
+                >= 0.5 * worth / teaching.measured().max(1) as f64
+    }
+
+    /// By how much a view lowers what is asked for, and by how much that view does; `None` unless
+    /// it is asked for on behalf of depth.
+    pub(super) fn drop(&self, taught: &TaughtView, seen: &SeenDepth) -> Option<[f64; 2]> {
+        let next = self.next.as_ref().filter(|_| self.is_asked_for)?;
+        Some([self.counted()?.drop(taught, seen.measured.as_ref()), next.drop])
+    }
+
+    /// Takes in a kept view, which `color` has as its `number`-th.
+    pub(super) fn add(&mut self, number: u32, seen: SeenDepth, color: &Teaching) {
+        self.by_infrared += usize::from(seen.infrared_sees);
+        let Some(teaching) = &mut self.teaching else { return };
+        match seen.measured {
+            Some(measured) => teaching.add(measured.numbered(number), color),
+            None => teaching.sum_up(color),
+        }
+    }
+
+    /// The color view with this number is there no more.
+    pub(super) fn remove(&mut self, number: u32) {
+        self.teaching.iter_mut().for_each(|teaching| teaching.remove(number));
+    }
+
+    /// Whether depth is known to `goal_px`, as far as it counts.
+    pub(super) fn reaches(&self, goal_px: f64) -> bool {
+        self.counted().is_none_or(|depth| depth.uncertainty_px().is_some_and(|px| px <= goal_px))
+    }
+
+    /// The view to ask for: color's `own`, unless depth is less known than color and another view
+    /// lowers that more; with how many views both take.
+    pub(super) fn request(
+        &mut self,
+        color: &Teaching,
+        own: Option<&SuggestedView>,
+        goal_px: Option<f64>,
+    ) -> Option<SuggestedView> {
+        let depth = self.counted();
+        // Of a camera that is known as little as before any fit nobody can say how many it takes.
+        let is_fitted = depth.is_some_and(|depth| depth.uncertainty_px().is_some());
+        self.next = depth.and_then(|depth| suggest_depth_view(depth, color, goal_px));
+        self.is_asked_for = false;
+        let own = own.cloned();
+        let Some(next) = &self.next else { return own };
+        let most = |[a, b]: [u32; 2], [c, d]: [u32; 2]| [a.max(c), b.max(d)];
+        let own_to_go = own.as_ref().and_then(|own| own.views_to_go);
+        let views_to_go = own_to_go.zip(next.views_to_go.filter(|_| is_fitted));
+        let views_to_go = views_to_go.map(|(own, depth)| most(own, depth));
+        if own.as_ref().is_some_and(|own| own.uncertainty_px >= next.uncertainty_px) {
+            return own.map(|own| SuggestedView { views_to_go, ..own });
+        }
+        let asked = color.suggested(next.camera_from_board, &next.normal, views_to_go);
+        self.is_asked_for = asked.is_some();
+        let asked = asked.map(|asked| SuggestedView {
+            uncertainty_px: next.uncertainty_px,
+            expected_uncertainty_px: next.expected_uncertainty_px,
+            ..asked
+        });
+        asked.or(own)
+    }
+
+    /// What views have taught of depth by planes, where that counts.
+    pub(super) fn counted(&self) -> Option<&DepthTeaching> {
+        let teaching = self.teaching.as_ref()?;
+        let is_fitted = teaching.uncertainty_px().is_some() || teaching.measured() < GIVEN_UP;
+        let by_planes = self.by_infrared < LEAST_INFRARED;
+        (teaching.measured() > 0 && by_planes && is_fitted).then_some(teaching)
+    }
+}

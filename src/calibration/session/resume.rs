@@ -1,0 +1,77 @@
+//! A session that goes on with what was stored of it.
+
+use crate::calibration::admission::AdmissionOptions;
+use crate::calibration::scene::correspondence::SceneImage;
+use crate::calibration::session::{Action, DepthFrame, KeptView, Session};
+use crate::calibration::session_record::{SessionRecord, SessionState};
+use crate::calibration::view::{FrameFacts, View};
+
+impl Session {
+    /// A session as it was stored, with its views in order; those of a camera that is not in the
+    /// rig any more have a place that it does not have, and are left out. One that was collecting
+    /// goes on collecting, one that was solving solves again.
+    pub fn resume(
+        record: SessionRecord,
+        cameras: &[String],
+        views: &[(KeptView, View)],
+        options: &AdmissionOptions,
+    ) -> (Self, Vec<Action>) {
+        Self::resume_with_depth(record, cameras, (views, |_| None), options)
+    }
+
+    /// As [`Session::resume`], with the depth image of each view that has one.
+    pub fn resume_with_depth(
+        record: SessionRecord,
+        cameras: &[String],
+        (views, depth): (&[(KeptView, View)], impl Fn(&KeptView) -> Option<DepthFrame>),
+        options: &AdmissionOptions,
+    ) -> (Self, Vec<Action>) {
+        let mut session = Self::begin(record, cameras, options);
+        session.record.reason = None;
+        for (place, view) in views {
+            session.next_number = session.next_number.max(place.number + 1);
+            let Some(camera) = session.cameras.get_mut(place.camera) else { continue };
+            if let Some(own) = camera.restore(view, depth(place).as_ref()) {
+                session.frame_sets = session.frame_sets.max(place.frame_set + 1);
+                session.kept.retain(|old| (old.camera, old.view) != (place.camera, own));
+                session.kept.push(KeptView { view: own, ..*place });
+            }
+        }
+        let actions = session.resumed();
+        (session, actions)
+    }
+
+    /// As [`Session::resume`], of a session without a board: its key frames in order, each with the
+    /// number of its view.
+    pub fn resume_scene(
+        record: SessionRecord,
+        key_frames: &[(KeptView, FrameFacts, SceneImage)],
+        options: &AdmissionOptions,
+    ) -> (Self, Vec<Action>) {
+        let mut session = Self::begin(record, &[], options);
+        session.record.reason = None;
+        for (place, frame, image) in key_frames {
+            session.next_number = session.next_number.max(place.number + 1);
+            session.frame_sets = session.frame_sets.max(place.frame_set + 1);
+            let camera = session.cameras.first_mut();
+            if let Some(view) = camera.and_then(|part| part.restore_key_frame(frame, image)) {
+                session.kept.push(KeptView { camera: 0, view, ..*place });
+            }
+        }
+        let actions = session.resumed();
+        (session, actions)
+    }
+
+    /// What to do first with its views back.
+    fn resumed(&mut self) -> Vec<Action> {
+        self.pair_up();
+        self.renew(self.is_rig());
+        let mut actions = vec![Action::Announce];
+        match self.record.state {
+            SessionState::Solving => actions.push(Action::Solve),
+            SessionState::Collecting => actions.extend(self.request_estimates(|_| true)),
+            _ => {}
+        }
+        actions
+    }
+}
