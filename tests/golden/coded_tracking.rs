@@ -79,12 +79,12 @@ impl Stream {
         let [x, y] = self.pixel(print.width_m / 2.0, print.height_m / 2.0);
         let away = [x - WIDTH as f64 / 2.0, y - HEIGHT as f64 / 2.0];
         let [dx, dy] = away.map(|v| self.rng.random_range(-most_px..most_px) - 0.2 * v);
-        let turn = Rotation2::new(self.rng.random_range(-0.01..0.01)).to_homogeneous();
+        let rotation = Rotation2::new(self.rng.random_range(-0.01..0.01)).to_homogeneous();
         let nearer = Matrix3::new_scaling(1.0 + self.rng.random_range(-0.01..0.01));
         let about = Matrix3::new_translation(&Vector2::new(x, y));
         let back = Matrix3::new_translation(&Vector2::new(-x, -y));
         let moved = Matrix3::new_translation(&Vector2::new(dx, dy));
-        self.pixel_from_sheet = moved * about * turn * nearer * back * self.pixel_from_sheet;
+        self.pixel_from_sheet = moved * about * rotation * nearer * back * self.pixel_from_sheet;
     }
 
     fn pixel(&self, x: f64, y: f64) -> [f64; 2] {

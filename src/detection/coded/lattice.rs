@@ -12,7 +12,7 @@ use crate::detection::search::seeds::{Neighborhood, Seed};
 use crate::detection::thresholds::markers::LatticeThresholds;
 use crate::imaging::gray::GrayView;
 
-/// Crossings of a line that say how it bends.
+/// Crossings of a line that say how it is curved.
 pub(super) const CURVED: i32 = 3;
 /// How far a lattice reaches from its first crossing, in lines.
 pub(super) const LARGEST_RADIUS: i32 = 104;

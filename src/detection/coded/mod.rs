@@ -14,7 +14,7 @@
 //! | ends | `ends` | which of two places it is, where only the board's ends distinguish them |
 //! | print | `print`, `curved_chart` | what the markers add to the image near each crossing, for the refinement |
 //! | detector | `detector`, `finish` | levels, completion by the labeled board, refinement |
-//! | tracking | `tracking`, `shift` | the board of the last image, a little farther on |
+//! | tracking | `tracking`, `offset_search` | the board of the last image, a little farther on |
 //! | recognition | `recognition` | which board it is, where none was asked for |
 //!
 //! **May miss, never mislabels**: a board is answered only if its markers agree with one place in
@@ -31,10 +31,10 @@ mod homography_equations;
 mod labels;
 mod lattice;
 pub mod no_target;
+mod offset_search;
 mod order;
 mod print;
 mod reading;
 pub mod recognition;
 mod sheet;
-mod shift;
 pub mod tracking;

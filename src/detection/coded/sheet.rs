@@ -243,7 +243,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_borders_of_tags_with_few_bits_are_not_told_apart_by_their_payload() {
+    fn the_borders_of_tags_with_few_bits_have_the_same_payload() {
         let grid = |family: &str| {
             let family = Dictionary::named(family).expect("a family");
             let grid = AprilGrid {

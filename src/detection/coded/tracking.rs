@@ -1,7 +1,7 @@
 //! The board in the next image of a stream, near where it was in the last one: at a fraction of the
 //! cost of a search.
 //!
-//! Each corner is measured where its motion and that of a few others (`shift`) predict it. The
+//! Each corner is measured where its motion and that of a few others (`offset`) predict it. The
 //! markers are read again and must say the same place in the board by themselves, with the evidence
 //! that a search needs, and each corner must lie where the others put it. Otherwise the whole image
 //! is searched.
@@ -11,7 +11,7 @@ use crate::detection::coded::detector::TargetDetector;
 use crate::detection::coded::labels::{BoardLabel, BoardLabels};
 use crate::detection::coded::lattice::{Expected, LARGEST_RADIUS, LatticeScene};
 use crate::detection::coded::no_target::NoTarget;
-use crate::detection::coded::shift::{Reference, Shift, ShiftSearch};
+use crate::detection::coded::offset_search::{OffsetSearch, PredictionOffset, ReferenceCorner};
 use crate::detection::grid::Node;
 use crate::detection::measure::Probe;
 use crate::detection::measure::cross::{CrossWindow, Vec2};
@@ -48,8 +48,8 @@ pub(super) struct LastTarget {
     level: usize,
     /// Width of the blur across its edges, in pixels.
     blur_px: f32,
-    shifts: ShiftSearch,
-    references: Vec<Reference>,
+    offsets: OffsetSearch,
+    references: Vec<ReferenceCorner>,
 }
 
 impl LastTarget {
@@ -162,7 +162,7 @@ impl TargetDetector {
         (label, bright): (BoardLabel, bool),
         with_motion: bool,
     ) -> bool {
-        let Some(shift) = self.shift(image, (label, bright), with_motion) else { return false };
+        let Some(offset) = self.offset(image, (label, bright), with_motion) else { return false };
         self.forget_candidates(image);
         let [across, _] = self.sheets.ways[label.way].lines;
         let Self { last, grid, sheets, neighborhood, thresholds, .. } = self;
@@ -183,8 +183,8 @@ impl TargetDetector {
             let (i, j) = label.placement.in_grid(col, row);
             let expected = expected(&last.corners, (index, node.pixel), with_motion);
             let place = Expected {
-                pixel: expected + shift.at(expected),
-                steps: shift.stretched(last.steps[index]),
+                pixel: expected + offset.at(expected),
+                steps: offset.stretched(last.steps[index]),
                 polarity: grid.polarity(i, j),
                 contrast: node.contrast.abs(),
                 labeled: true,
@@ -197,28 +197,28 @@ impl TargetDetector {
     }
 
     /// How far the corners are from their predictions.
-    fn shift(
+    fn offset(
         &mut self,
         image: GrayView<'_>,
         (label, bright): (BoardLabel, bool),
         with_motion: bool,
-    ) -> Option<Shift> {
+    ) -> Option<PredictionOffset> {
         let [across, _] = self.sheets.ways[label.way].lines;
         let narrow = self.sheets.widths[0].min(self.sheets.widths[1]);
         let Self { last, thresholds, .. } = self;
-        let LastTarget { corners, steps, shifts, references, level, .. } = last;
+        let LastTarget { corners, steps, offsets, references, level, .. } = last;
         references.clear();
         references.extend(spread(corners, across).into_iter().filter_map(|index| {
             let node = corners.get(index)?;
             let (i, j) = label.placement.in_grid(index as i32 % across, index as i32 / across);
             let is_bright = ((i + j) & 1 == 0) == bright;
-            Some(Reference {
+            Some(ReferenceCorner {
                 expected: expected(corners, (index, node.pixel), with_motion),
                 cell: steps[index].map(|step| step * narrow),
                 polarity: if is_bright { 1.0 } else { -1.0 },
             })
         }));
-        shifts.search(Probe { image, thresholds }, *level, references)
+        offsets.search(Probe { image, thresholds }, *level, references)
     }
 }
 

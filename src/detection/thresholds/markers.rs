@@ -121,7 +121,7 @@ thresholds! {
 }
 
 thresholds! {
-    /// From image to image (`coded/tracking.rs`, `coded/shift.rs`).
+    /// From image to image (`coded/tracking.rs`, `coded/offset_search.rs`).
     MarkerTrackingThresholds {
         /// Farthest that a corner is searched for from where its motion predicts it.
         reach: f32 = 0.025, "share of the longer side", ThresholdOrigin::Swept;
@@ -129,7 +129,7 @@ thresholds! {
         most_rotation: f32 = 0.3, "sine", ThresholdOrigin::Swept;
         /// How far one of two corners may have moved from where the other one's motion puts it.
         alike: f32 = 0.25, "intervals", ThresholdOrigin::Derived("half of what separates a crossing from the next");
-        /// The same for each pixel between them: the board turns and comes nearer.
+        /// The same for each pixel between them: the board rotates and comes nearer.
         slope: f32 = 0.03, "px", ThresholdOrigin::Swept;
         /// Least share of the corners that are searched for that moved alike.
         least_alike: f32 = 0.6, "share", ThresholdOrigin::Swept;

@@ -2,7 +2,7 @@
 //! and those that moved alike say how all of them did.
 //!
 //! The nearest crossing may be another corner of the board, or one inside a marker. It is the
-//! agreement of corners far from each other that tells them apart, and after that the markers.
+//! agreement of corners far from each other that distinguishes them, and after that the markers.
 
 use nalgebra::{Matrix2, Matrix3, Vector3};
 
@@ -20,7 +20,7 @@ const MARGIN: usize = 2 * REACH;
 
 /// A corner around which crossings are searched for.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Reference {
+pub(super) struct ReferenceCorner {
     /// Where it is predicted.
     pub expected: Vec2,
     /// The narrow interval between lines along each axis there.
@@ -31,7 +31,7 @@ pub(super) struct Reference {
 
 /// A crossing that may be a reference.
 #[derive(Debug, Clone, Copy)]
-struct Sighting {
+struct ReferenceCandidate {
     reference: usize,
     /// From its prediction.
     off: Vec2,
@@ -39,7 +39,7 @@ struct Sighting {
 
 /// How far predictions are off, over the image.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Shift {
+pub(super) struct PredictionOffset {
     middle: Vec2,
     off: Vec2,
     slope: Matrix2<f32>,
@@ -47,14 +47,14 @@ pub(super) struct Shift {
 
 /// Searches for crossings around references; its buffers are kept.
 #[derive(Debug, Default)]
-pub(super) struct ShiftSearch {
+pub(super) struct OffsetSearch {
     pyramid: Pyramid,
     response: Response,
     candidates: CandidateSearch,
-    sightings: Vec<Sighting>,
+    seen: Vec<ReferenceCandidate>,
 }
 
-impl Shift {
+impl PredictionOffset {
     /// How far a corner is from where it is `expected`.
     pub(super) fn at(&self, expected: Vec2) -> Vec2 {
         self.off + self.slope * (expected - self.middle)
@@ -67,8 +67,8 @@ impl Shift {
 
     /// The offsets of `chosen` by least squares; the steeper a slope, the less likely it is.
     fn fitted_to(
-        references: &[Reference],
-        chosen: &[Sighting],
+        references: &[ReferenceCorner],
+        chosen: &[ReferenceCandidate],
         limits: &MarkerTrackingThresholds,
     ) -> Option<Self> {
         let count = chosen.len() as f32;
@@ -77,11 +77,11 @@ impl Shift {
         let flat = 1.0 / limits.slope.powi(2);
         let mut normal = Matrix3::from_diagonal(&Vector3::new(0.0, flat, flat));
         let mut right = [Vector3::zeros(); 2];
-        for (place, sighting) in places().zip(chosen) {
+        for (place, one) in places().zip(chosen) {
             let terms = Vector3::new(1.0, place.x - middle.x, place.y - middle.y);
             normal += terms * terms.transpose();
-            right[0] += terms * sighting.off.x;
-            right[1] += terms * sighting.off.y;
+            right[0] += terms * one.off.x;
+            right[1] += terms * one.off.y;
         }
         let cholesky = normal.cholesky()?;
         let [x, y] = right.map(|right| cholesky.solve(&right));
@@ -90,54 +90,54 @@ impl Shift {
     }
 }
 
-impl ShiftSearch {
+impl OffsetSearch {
     /// How the board moved, by what is seen on `level` of the image around `references`; `None` if
     /// too few of them moved alike.
     pub(super) fn search(
         &mut self,
         probe: Probe<'_>,
         level: usize,
-        references: &[Reference],
-    ) -> Option<Shift> {
+        references: &[ReferenceCorner],
+    ) -> Option<PredictionOffset> {
         let limits = &probe.thresholds.marker_tracking;
-        self.sightings.clear();
+        self.seen.clear();
         for (index, reference) in references.iter().enumerate() {
-            self.look_around(probe, level, (index, reference));
+            self.search_around(probe, level, (index, reference));
         }
         let least = (limits.least_alike * references.len() as f32).ceil() as usize;
-        let mut best: Vec<Sighting> = Vec::new();
-        for guess in &self.sightings {
+        let mut best: Vec<ReferenceCandidate> = Vec::new();
+        for guess in &self.seen {
             let chosen = self.near(references, |it| {
-                let apart = references[it].expected - references[guess.reference].expected;
-                (guess.off, limits.alike, limits.slope * apart.norm())
+                let distance = references[it].expected - references[guess.reference].expected;
+                (guess.off, limits.alike, limits.slope * distance.norm())
             });
             if chosen.len() > best.len() {
                 best = chosen;
             }
         }
-        let mut shift = None;
+        let mut offset = None;
         // The second fit is to what is nearest to the first.
         for _ in 0..2 {
             if best.len() < least.max(3) {
                 return None;
             }
-            let fitted = Shift::fitted_to(references, &best, limits)?;
+            let fitted = PredictionOffset::fitted_to(references, &best, limits)?;
             best = self.near(references, |it| {
                 (fitted.at(references[it].expected), limits.alike / 2.0, 0.0)
             });
-            shift = Some(fitted);
+            offset = Some(fitted);
         }
-        shift.filter(|_| best.len() >= least)
+        offset.filter(|_| best.len() >= least)
     }
 
     /// Collects the crossings around a reference that are like it.
-    fn look_around(
+    fn search_around(
         &mut self,
         probe: Probe<'_>,
         level: usize,
-        (index, reference): (usize, &Reference),
+        (index, reference): (usize, &ReferenceCorner),
     ) {
-        let Self { pyramid, response, candidates, sightings } = self;
+        let Self { pyramid, response, candidates, seen } = self;
         let limits = &probe.thresholds.marker_tracking;
         let image = probe.image;
         let reach = limits.reach * image.width().max(image.height()) as f32;
@@ -152,33 +152,33 @@ impl ShiftSearch {
             let pixel = candidate.pixel * scale + Vec2::repeat((scale - 1.0) / 2.0) + origin;
             let off = pixel - reference.expected;
             if off.norm() <= reach && is_alike(candidate, reference, limits.most_rotation) {
-                sightings.push(Sighting { reference: index, off });
+                seen.push(ReferenceCandidate { reference: index, off });
             }
         }
     }
 
-    /// Of each reference the sighting that is nearest to where `expected` has it (an offset, and
+    /// Of each reference the one that is nearest to where `expected` has it (an offset, and
     /// the tolerance in cells and in pixels), if that is within the tolerance.
     fn near(
         &self,
-        references: &[Reference],
+        references: &[ReferenceCorner],
         expected: impl Fn(usize) -> (Vec2, f32, f32),
-    ) -> Vec<Sighting> {
-        let mut chosen: Vec<Sighting> = Vec::with_capacity(references.len());
+    ) -> Vec<ReferenceCandidate> {
+        let mut chosen: Vec<ReferenceCandidate> = Vec::with_capacity(references.len());
         let mut nearest = f32::MAX;
-        for sighting in &self.sightings {
-            let (off, cells, pixels) = expected(sighting.reference);
-            let away = sighting.off - off;
-            let cell = references[sighting.reference].cell;
+        for one in &self.seen {
+            let (off, cells, pixels) = expected(one.reference);
+            let away = one.off - off;
+            let cell = references[one.reference].cell;
             let narrow = cell[0].norm().min(cell[1].norm());
-            let is_same = chosen.last().is_some_and(|it| it.reference == sighting.reference);
+            let is_same = chosen.last().is_some_and(|it| it.reference == one.reference);
             let least = if is_same { nearest } else { f32::MAX };
             let distance = away.norm();
             if distance <= cells * narrow + pixels && distance < least {
                 if is_same {
                     chosen.pop();
                 }
-                chosen.push(*sighting);
+                chosen.push(*one);
                 nearest = distance;
             }
         }
@@ -204,7 +204,7 @@ fn patch_of(image: GrayView<'_>, center: Vec2, half: f32) -> Option<(GrayView<'_
 }
 
 /// Whether the edges of a crossing run as those of the reference, bright where its are.
-fn is_alike(candidate: &Candidate, reference: &Reference, most_rotation: f32) -> bool {
+fn is_alike(candidate: &Candidate, reference: &ReferenceCorner, most_rotation: f32) -> bool {
     let [u, v] = reference.cell.map(|step| step / step.norm().max(1e-3));
     let edges = if reference.polarity > 0.0 { [u, v] } else { [v, u] };
     let sine = |a: Vec2, b: Vec2| (a.x * b.y - a.y * b.x).abs();
