@@ -84,8 +84,8 @@ pub fn suggest_depth_view(
     };
     let as_good = scored.iter().take_while(|scored| scored.score >= least);
     let chosen = as_good.min_by(|a, b| effort(a).total_cmp(&effort(b)))?;
-    let apart = (scored.len() / 2 / SHORTLIST).max(1);
-    let shortlist: Vec<&ScoredDepthView> = scored.iter().step_by(apart).take(SHORTLIST).collect();
+    let stride = (scored.len() / 2 / SHORTLIST).max(1);
+    let shortlist: Vec<&ScoredDepthView> = scored.iter().step_by(stride).take(SHORTLIST).collect();
     let views_to_go = goal_px.map(|goal_px| {
         [1.0, HALF_AS_MUCH].map(|part| views_to_go(depth, (&shortlist, part), goal_px))
     });

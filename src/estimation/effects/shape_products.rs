@@ -92,7 +92,7 @@ impl PointProducts {
         self.add_squares(basis, lens, global);
     }
 
-    /// The couplings of the shape with pose and motion of each view in turn: shape × columns.
+    /// The couplings of the shape with pose and motion of each view after the other: shape × columns.
     pub(super) fn coupling(&self, basis: &BoardBasis) -> DMatrix<f64> {
         by_shape(basis, &self.local)
     }
