@@ -15,7 +15,7 @@ const SAME_SHAPE: f64 = 0.01;
 /// Refuses images whose files state different cameras or focal lengths.
 pub(super) fn check_one_camera(images: &[SceneImage]) -> Result<(), SceneRefusal> {
     let cameras = stated(images, |stated| stated.camera.as_deref());
-    if let Some(((image, camera), (other, expected))) = odd_one(&cameras, |a, b| a == b) {
+    if let Some([(image, camera), (other, expected)]) = odd_one(&cameras, |a, b| a == b) {
         return Err(SceneRefusal::DifferentCameras {
             name: image.name.clone(),
             camera: (*camera).to_owned(),
@@ -25,7 +25,7 @@ pub(super) fn check_one_camera(images: &[SceneImage]) -> Result<(), SceneRefusal
     }
     let focals = stated(images, |stated| stated.focal_mm);
     let is_same = |a: &f64, b: &f64| (a / b - 1.0).abs() <= SAME_FOCAL;
-    if let Some(((image, focal_mm), (other, expected_mm))) = odd_one(&focals, is_same) {
+    if let Some([(image, focal_mm), (other, expected_mm)]) = odd_one(&focals, is_same) {
         return Err(SceneRefusal::DifferentZoom {
             name: image.name.clone(),
             focal_mm: *focal_mm,
@@ -58,15 +58,12 @@ fn stated<'a, T>(
 }
 
 /// The first that is not what most are, and the first of those.
-fn odd_one<'a, T>(
-    stated: &'a [(&'a SceneImage, T)],
-    is_same: impl Fn(&T, &T) -> bool,
-) -> Option<(&'a (&'a SceneImage, T), &'a (&'a SceneImage, T))> {
+fn odd_one<I, T>(stated: &[(I, T)], is_same: impl Fn(&T, &T) -> bool) -> Option<[&(I, T); 2]> {
     let count = |of: &T| stated.iter().filter(|(_, other)| is_same(of, other)).count();
     let most = stated.iter().map(|(_, of)| count(of)).max()?;
     let expected = stated.iter().find(|(_, of)| count(of) == most)?;
     let odd = stated.iter().find(|(_, of)| !is_same(of, &expected.1))?;
-    Some((odd, expected))
+    Some([odd, expected])
 }
 
 #[cfg(test)]

@@ -28,25 +28,24 @@ impl HomographyEquations {
     pub(super) fn take(&mut self, [i, j]: [f64; 2], pixel: [f64; 2], weight: f64) {
         let terms = [i, j, 1.0];
         let weighted = terms.map(|term| weight * term);
-        for a in 0..3 {
-            for b in 0..=a {
-                self.places[a][b] += weighted[a] * terms[b];
+        for (a, (row, weighted)) in self.places.iter_mut().zip(weighted).enumerate() {
+            for (place, term) in row.iter_mut().zip(terms).take(a + 1) {
+                *place += weighted * term;
             }
         }
-        for axis in 0..2 {
-            let value = pixel[axis];
+        for (axis, value) in pixel.into_iter().enumerate() {
             let slants = [-i * value, -j * value];
-            for a in 0..3 {
-                self.right[axis][a] += weighted[a] * value;
+            for (right, weighted) in self.right[axis].iter_mut().zip(weighted) {
+                *right += weighted * value;
             }
-            for a in 0..2 {
-                let weighted = weight * slants[a];
+            for (a, slant) in slants.into_iter().enumerate() {
+                let weighted = weight * slant;
                 self.right_of_slants[a] += weighted * value;
-                for b in 0..3 {
-                    self.slanted[a][axis][b] += weighted * terms[b];
+                for (slanted, term) in self.slanted[a][axis].iter_mut().zip(terms) {
+                    *slanted += weighted * term;
                 }
-                for b in 0..=a {
-                    self.slants[a][b] += weighted * slants[b];
+                for (sum, slant) in self.slants[a].iter_mut().zip(slants).take(a + 1) {
+                    *sum += weighted * slant;
                 }
             }
         }
