@@ -130,11 +130,13 @@ mod tests {
         let (mut bundle, truth) = exact();
         bundle.free = vec![FX, FY];
         let center = truth.lens.matrix;
+        // As exact as it takes for priors to say nothing beside: they know fx / fy to 0.2 %.
+        bundle.observations.iter_mut().flatten().for_each(|seen| seen.inverse_std *= 1e3);
         for seen in bundle.observations.iter_mut().flatten().filter(|seen| seen.camera == 2) {
             let Pixel { x, y } = seen.pixel;
             seen.pixel = Pixel::new(
-                center.cx + 1.002 * (x - center.cx),
-                center.cy + 1.002 * (y - center.cy),
+                center.cx + 1.0002 * (x - center.cx),
+                center.cy + 1.0002 * (y - center.cy),
             );
         }
         let stop = BundleStop { max_steps: 60, least_decrease: 1e-12 };
@@ -143,7 +145,8 @@ mod tests {
         let others = [0, 1, 3].map(|k| found.log_ratios[k]);
         let mean = others.iter().sum::<f64>() / 3.0;
         let larger = found.log_ratios[2] - mean;
-        assert!((larger - 0.002).abs() < 1e-4, "{found:?}");
-        assert!(others.iter().all(|other| (other - mean).abs() < 1e-4), "{found:?}");
+        // One step is exact to the second order of what is off, which weak geometry amplifies.
+        assert!((larger - 2e-4).abs() < 1e-5, "{found:?}");
+        assert!(others.iter().all(|other| (other - mean).abs() < 1e-5), "{found:?}");
     }
 }
