@@ -41,11 +41,9 @@ fn text(exif: &Exif, tag: Tag) -> Option<String> {
 }
 
 fn focal_mm(exif: &Exif) -> Option<f64> {
-    let Value::Rational(values) = &exif.get_field(Tag::FocalLength, In::PRIMARY)?.value else {
-        return None;
-    };
+    let field = exif.get_field(Tag::FocalLength, In::PRIMARY)?;
     // 0 means unknown.
-    let focal_mm = values.first()?.to_f64();
+    let focal_mm: f64 = field.display_value().to_string().parse().ok()?;
     (focal_mm.is_finite() && focal_mm > 0.0).then_some(focal_mm)
 }
 

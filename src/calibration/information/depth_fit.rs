@@ -3,7 +3,6 @@
 
 use nalgebra::{DMatrix, DVector, Vector6};
 
-use crate::calibration::information::depth_teaching::few;
 use crate::calibration::information::lens_information::inverse;
 use crate::calibration::information::teaching::TaughtView;
 use crate::calibration::information::view_information::inverse_of_pose;
@@ -24,7 +23,7 @@ pub(super) struct FittedDepth {
 }
 
 /// One view: what color saw, and the board's surface.
-type View<'a> = (&'a TaughtView, &'a [DepthTile]);
+type PlaneView<'a> = (&'a TaughtView, &'a [DepthTile]);
 
 /// As in the solve: the first round finds what lies off the plane.
 const ROUNDS: usize = 2;
@@ -36,12 +35,15 @@ const LIMIT: f64 = 6.0;
 /// The standard deviation of normal numbers is their median size over this.
 const NORMAL_MEDIAN: f64 = 0.6745;
 
+/// So many tiles stand for all of a view.
+const FEW: usize = 24;
+
 /// Fits the depth camera from `start` on, which is known as well as `prior` says: it stays there in
 /// directions that nothing determines. `None` where there is no fit.
 pub(super) fn fit_depth(
     start: &PlacedDepth,
     prior: &DMatrix<f64>,
-    views: &[View<'_>],
+    views: &[PlaneView<'_>],
 ) -> Option<FittedDepth> {
     let mut fitted = FittedDepth {
         depth: start.clone(),
@@ -71,7 +73,7 @@ pub(super) fn fit_depth(
 
 impl FittedDepth {
     /// The next step, and by how much it lowers the cost per view.
-    fn step(&self, prior: &DMatrix<f64>, views: &[View<'_>]) -> Option<(DVector<f64>, f64)> {
+    fn step(&self, prior: &DMatrix<f64>, views: &[PlaneView<'_>]) -> Option<(DVector<f64>, f64)> {
         let mut normal = prior.clone();
         let mut gradient = prior * &self.moved;
         for ((taught, tiles), used) in views.iter().zip(&self.used) {
@@ -86,7 +88,7 @@ impl FittedDepth {
         step.iter().all(|value| value.is_finite()).then_some((step, lowered))
     }
 
-    fn normal(&self, (taught, tiles): View<'_>, used: &[bool]) -> Option<PlaneNormal> {
+    fn normal(&self, (taught, tiles): PlaneView<'_>, used: &[bool]) -> Option<PlaneNormal> {
         let (few, count) = few(tiles, used);
         let weight = count / (self.scatter[0] * self.scatter[0]);
         PlaneNormal::of(&self.depth, &taught.centered(), (&few, weight))
@@ -94,7 +96,7 @@ impl FittedDepth {
 
     /// Finds which tiles lie on their planes, and how those scatter; the boards are where corners
     /// and planes have them together.
-    fn judge(&mut self, views: &[View<'_>]) -> Option<()> {
+    fn judge(&mut self, views: &[PlaneView<'_>]) -> Option<()> {
         let residuals: Vec<Vec<f64>> = (views.iter().zip(&self.used))
             .map(|((taught, tiles), used)| {
                 let step = self.normal((*taught, *tiles), used).and_then(|planes| {
@@ -144,4 +146,18 @@ fn mean_squares_of_quarters(tiles: &[(&DepthTile, f64)]) -> Option<f64> {
     let mean_square =
         |(sum, count): &(f64, f64)| if *count > 0.0 { sum * sum / count } else { 0.0 };
     Some(quarters.iter().map(mean_square).sum())
+}
+
+/// A few of the used tiles, and for how many each stands. Taken by the golden ratio, so that rows
+/// and columns of tiles are no pattern of theirs.
+pub(super) fn few(tiles: &[DepthTile], used: &[bool]) -> (Vec<DepthTile>, f64) {
+    let used: Vec<DepthTile> =
+        tiles.iter().zip(used).filter(|(_, used)| **used).map(|(tile, _)| *tile).collect();
+    if used.len() <= FEW {
+        return (used, 1.0);
+    }
+    let golden = 0.5 * (5.0_f64.sqrt() - 1.0);
+    let place = |k: usize| ((k as f64 * golden).fract() * used.len() as f64) as usize;
+    let few = (0..FEW).map(|k| used[place(k).min(used.len() - 1)]).collect();
+    (few, used.len() as f64 / FEW as f64)
 }

@@ -7,10 +7,10 @@
 
 use nalgebra::{DMatrix, Point3};
 
-use crate::calibration::information::depth_fit::{FittedDepth, fit_depth};
+use crate::calibration::information::depth_fit::{FittedDepth, few, fit_depth};
 use crate::calibration::information::depth_goal::DepthGoal;
 use crate::calibration::information::depth_information::{DepthInformation, DepthNormal};
-use crate::calibration::information::expected_depth::DepthNoise;
+use crate::calibration::information::expected_depth::DepthTileNoise;
 use crate::calibration::information::teaching::{TaughtView, Teaching};
 use crate::calibration::information::view_information::ViewNormal;
 use crate::calibration::rgbd_guess::{board_outline, same_view};
@@ -37,9 +37,9 @@ pub struct DepthTeaching {
     estimated_among: usize,
     /// By how much tiles scatter more than their readings do, and neighbors together.
     scatter: [f64; 2],
-    pub(super) noise: DepthNoise,
+    pub(super) noise: DepthTileNoise,
     now: Option<DepthNow>,
-    refused: Vec<Pose>,
+    refused_camera_from_board: Vec<Pose>,
 }
 
 /// What is known by now.
@@ -53,7 +53,7 @@ pub(super) struct DepthNow {
 
 /// What a depth camera is before a session, as far as anyone states it.
 #[derive(Debug, Clone, PartialEq)]
-pub struct StatedDepth {
+pub struct DeviceDepth {
     /// The size of its images.
     pub size: ImageSize,
     /// What its numbers mean.
@@ -76,8 +76,6 @@ pub struct MeasuredView {
     z_m: f64,
 }
 
-/// So many tiles stand for all of a view.
-const FEW: usize = 24;
 /// The solve takes as many views with depth.
 const LEAST_VIEWS: usize = 3;
 /// The depth camera is fitted anew when views have grown by this factor.
@@ -91,7 +89,7 @@ const UNKNOWN_MARGIN_SQUARES: f64 = -1.0;
 
 impl DepthTeaching {
     /// Nothing taught yet of a depth camera beside the one that `color` is of.
-    pub fn new(target: &Target, color: &Teaching, stated: &StatedDepth) -> Self {
+    pub fn new(target: &Target, color: &Teaching, stated: &DeviceDepth) -> Self {
         let size = stated.size;
         let guess = || (same_view(color.lens(), color.size(), size), Pose::identity());
         let (lens, depth_from_color) = stated.factory.unwrap_or_else(guess);
@@ -106,9 +104,9 @@ impl DepthTeaching {
             views: Vec::new(),
             estimated_among: 0,
             scatter: [1.0; 2],
-            noise: DepthNoise::default(),
+            noise: DepthTileNoise::default(),
             now: None,
-            refused: Vec::new(),
+            refused_camera_from_board: Vec::new(),
         }
     }
 
@@ -124,12 +122,12 @@ impl DepthTeaching {
 
     /// What is shown there is not worth keeping: nothing like it is asked for until a view is kept.
     pub fn refuse(&mut self, camera_from_board: Pose) {
-        self.refused.push(camera_from_board);
+        self.refused_camera_from_board.push(camera_from_board);
     }
 
     /// Where nothing is asked for.
     pub(super) fn refused(&self) -> &[Pose] {
-        &self.refused
+        &self.refused_camera_from_board
     }
 
     /// How many views have depth.
@@ -164,7 +162,7 @@ impl DepthTeaching {
     /// Takes a view in; `color` has it already.
     pub fn add(&mut self, view: MeasuredView, color: &Teaching) {
         self.views.push(view);
-        self.refused.clear();
+        self.refused_camera_from_board.clear();
         self.sum_up(color);
     }
 
@@ -336,20 +334,6 @@ impl MeasuredView {
     pub fn numbered(self, number: u32) -> Self {
         Self { number, ..self }
     }
-}
-
-/// A few of the used tiles, and for how many each stands. Taken by the golden ratio, so that rows
-/// and columns of tiles are no pattern of theirs.
-pub(super) fn few(tiles: &[DepthTile], used: &[bool]) -> (Vec<DepthTile>, f64) {
-    let used: Vec<DepthTile> =
-        tiles.iter().zip(used).filter(|(_, used)| **used).map(|(tile, _)| *tile).collect();
-    if used.len() <= FEW {
-        return (used, 1.0);
-    }
-    let golden = 0.5 * (5.0_f64.sqrt() - 1.0);
-    let place = |k: usize| ((k as f64 * golden).fract() * used.len() as f64) as usize;
-    let few = (0..FEW).map(|k| used[place(k).min(used.len() - 1)]).collect();
-    (few, used.len() as f64 / FEW as f64)
 }
 
 /// The nearest, a middle and the farthest distance that boards were measured at; `None` before the

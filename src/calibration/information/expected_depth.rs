@@ -12,7 +12,7 @@ use crate::geometry::pose::Pose;
 
 /// What views show of a depth camera's readings.
 #[derive(Debug, Clone, Default)]
-pub struct DepthNoise {
+pub struct DepthTileNoise {
     /// ln of the distance in meters, and of a reading's standard deviation in 1/z, view by view.
     seen: Vec<[f64; 2]>,
     /// The line through them: its height at their mean distance, and its slope.
@@ -41,7 +41,7 @@ const MARGIN_SQUARES: f64 = 0.8;
 /// A plane takes so many tiles.
 const LEAST_TILES: f64 = 6.0;
 
-impl DepthNoise {
+impl DepthTileNoise {
     /// What the tiles of views show, each with the distance of its board in meters. What was not
     /// measured before is forgotten: it may have been searched for in the wrong place.
     pub fn learn<'a>(&mut self, views: impl Iterator<Item = (f64, &'a [DepthTile])>) {

@@ -13,7 +13,7 @@ use crate::geometry::pose::Pose;
 
 /// Where the board should be before color.
 #[derive(Debug, Clone, PartialEq)]
-pub struct DepthView {
+pub struct NextDepthView {
     /// Where.
     pub camera_from_board: Pose,
     /// What color would learn of its own lens: the view's normal matrix.
@@ -53,7 +53,7 @@ pub fn suggest_depth_view(
     depth: &DepthTeaching,
     color: &Teaching,
     goal_px: Option<f64>,
-) -> Option<DepthView> {
+) -> Option<NextDepthView> {
     let now = depth.now()?;
     let noise = color.corner_noise();
     let space = color.space(&noise);
@@ -91,7 +91,7 @@ pub fn suggest_depth_view(
     });
     let (of_color, of_depth) = &chosen.information;
     let after = now.goal.std_px(&now.known.with(of_color, of_depth.as_ref()))?;
-    Some(DepthView {
+    Some(NextDepthView {
         camera_from_board: chosen.view.camera_from_board,
         normal: chosen.normal.clone(),
         uncertainty_px: now.goal.figure_px(&now.std_px),

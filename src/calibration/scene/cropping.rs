@@ -5,7 +5,7 @@
 
 use nalgebra::DVector;
 
-use crate::calibration::scene::lens_fit::{FITTING, LensFit};
+use crate::calibration::scene::fitted_lens::{FITTING, LensFit};
 use crate::estimation::scene::covariance::lens_covariance;
 use crate::estimation::scene::lens_prior::{CX, CY};
 use crate::geometry::pixel::ImageSize;

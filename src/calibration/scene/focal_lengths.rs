@@ -3,7 +3,7 @@
 
 use nalgebra::{DVector, RowDVector};
 
-use crate::calibration::scene::lens_fit::LensFit;
+use crate::calibration::scene::fitted_lens::LensFit;
 use crate::estimation::scene::focal_by_image::{FocalByImage, focal_by_image};
 use crate::estimation::scene::lens_prior::{FX, FY};
 

@@ -3,25 +3,15 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::calibration::scene::cropping::averaged_over_cropping;
+use crate::calibration::scene::fitted_lens::{FITTING, LensFit};
 use crate::calibration::scene::refusal::SceneRefusal;
 use crate::estimation::problem::LensChoice;
-use crate::estimation::scene::bundle::{Bundle, BundleStop};
-use crate::estimation::scene::covariance::{LensCovariance, lens_covariance};
+use crate::estimation::scene::bundle::Bundle;
+use crate::estimation::scene::covariance::lens_covariance;
 use crate::estimation::scene::lens_prior::{COEFFICIENTS, SKEW};
 use crate::estimation::scene::reconstruction::Reconstruction;
-use crate::estimation::scene::robust_bundle::{RobustBundle, fit_robustly};
+use crate::estimation::scene::robust_bundle::fit_robustly;
 use crate::geometry::lens::{Lens, LensModel};
-
-/// A fit of one model with what it says of the lens.
-#[derive(Debug, Clone)]
-pub(super) struct LensFit {
-    pub fit: RobustBundle,
-    pub covariance: LensCovariance,
-    /// How likely it is that the images are parts of what the camera took.
-    pub cropped: f64,
-}
-
-pub(super) const FITTING: BundleStop = BundleStop { max_steps: 25, least_decrease: 3e-6 };
 
 /// Models with more coefficients are not compared by `auto`: eight are beyond what scenes
 /// determine.

@@ -12,6 +12,7 @@ pub mod conditions;
 pub mod correspondence;
 mod cropping;
 pub mod depth_scale;
+mod fitted_lens;
 mod focal_lengths;
 pub mod key_frames;
 mod lens_fit;

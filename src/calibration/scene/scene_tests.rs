@@ -6,7 +6,8 @@ use rand_chacha::ChaCha8Rng;
 
 use super::conditions::SceneConditions;
 use super::correspondence::SceneImage;
-use super::lens_fit::{LensFit, fit_lens};
+use super::fitted_lens::LensFit;
+use super::lens_fit::fit_lens;
 use super::{SceneOptions, SceneRefusal, calibrate_scene};
 use crate::estimation::interrupt::Interrupt;
 use crate::estimation::problem::LensChoice;

@@ -2,7 +2,7 @@
 
 use crate::calibration::result::{Grade, Verdict};
 use crate::calibration::scene::conditions::SceneConditions;
-use crate::calibration::scene::lens_fit::LensFit;
+use crate::calibration::scene::fitted_lens::LensFit;
 use crate::estimation::scene::bundle::CameraMotion;
 use crate::estimation::uncertainty::UncertaintyMap;
 use crate::imaging::nominal_focal::NominalFocal;

@@ -6,8 +6,8 @@
 
 use std::sync::Arc;
 
-use crate::calibration::information::depth_teaching::{DepthTeaching, MeasuredView, StatedDepth};
-use crate::calibration::information::next_depth_view::{DepthView, suggest_depth_view};
+use crate::calibration::information::depth_teaching::{DepthTeaching, DeviceDepth, MeasuredView};
+use crate::calibration::information::next_depth_view::{NextDepthView, suggest_depth_view};
 use crate::calibration::information::next_view::SuggestedView;
 use crate::calibration::information::teaching::{TaughtView, Teaching};
 use crate::geometry::lens::Lens;
@@ -35,7 +35,7 @@ pub(super) struct DepthPart {
     teaching: Option<DepthTeaching>,
     /// Views in which infrared sees the board.
     by_infrared: usize,
-    next: Option<DepthView>,
+    next: Option<NextDepthView>,
     /// The view that teaches depth most is asked for.
     is_asked_for: bool,
 }
@@ -75,7 +75,7 @@ impl DepthPart {
         let teaching = self.teaching.get_or_insert_with(|| {
             let size = frame.image.size();
             let invalid = frame.encoding.invalid;
-            let stated = StatedDepth { size, reading, invalid, factory: frame.factory };
+            let stated = DeviceDepth { size, reading, invalid, factory: frame.factory };
             DepthTeaching::new(target, color, &stated)
         });
         let measured = teaching.measure(&frame.image, taught);
@@ -84,9 +84,9 @@ impl DepthPart {
 
     /// What was shown about where a view is asked for on behalf of depth is not worth keeping, nor
     /// would it be again: whether another one should be asked for.
-    pub(super) fn refuses(&mut self, color: &Teaching, shown: &Pose) -> bool {
+    pub(super) fn refuses(&mut self, color: &Teaching, camera_from_board: &Pose) -> bool {
         let Some(next) = self.next.as_ref().filter(|_| self.is_asked_for) else { return false };
-        let is_there = color.effort(shown, &next.camera_from_board) < ARRIVED;
+        let is_there = color.effort(camera_from_board, &next.camera_from_board) < ARRIVED;
         let teaching = self.teaching.as_mut().filter(|_| is_there);
         teaching.is_some_and(|teaching| {
             teaching.refuse(next.camera_from_board);

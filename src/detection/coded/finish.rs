@@ -4,6 +4,7 @@
 use crate::detection::board_detection::{BoardMarkers, GridIndex};
 use crate::detection::coded::answer::{LabeledCorner, TargetDetection};
 use crate::detection::coded::detector::TargetDetector;
+use crate::detection::coded::held_crossing::HeldCrossing;
 use crate::detection::coded::labels::BoardLabel;
 use crate::detection::coded::lattice::{CURVED, LatticeScene, expect_curved, settle};
 use crate::detection::coded::print::LabeledPrint;
@@ -14,28 +15,6 @@ use crate::detection::refine::GridCorner;
 use crate::detection::thresholds::Thresholds;
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
-
-/// A crossing held against where the others put it.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct HeldCrossing {
-    at: (i32, i32),
-    /// How far off it is, in narrow intervals, more of a suspect one.
-    off: f32,
-    /// The same in pixels, along each axis of the image.
-    off_px: f32,
-    /// One unit of the lattice along each axis.
-    steps: Option<[Vec2; 2]>,
-    /// Within how many lines the others decide on all this.
-    reach: i32,
-    /// None of these was dropped since.
-    is_current: bool,
-}
-
-impl HeldCrossing {
-    fn unknown(at: (i32, i32)) -> Self {
-        Self { at, off: 0.0, off_px: 0.0, steps: None, reach: 0, is_current: false }
-    }
-}
 
 impl TargetDetector {
     /// The detection of the board that lies in `grid` as `label` says, found on `level`.

@@ -9,9 +9,10 @@
 use crate::detection::coded::answer::TargetDetection;
 use crate::detection::coded::detector::TargetDetector;
 use crate::detection::coded::labels::{BoardLabel, BoardLabels};
+use crate::detection::coded::last_target::LastTarget;
 use crate::detection::coded::lattice::{Expected, LARGEST_RADIUS, LatticeScene};
 use crate::detection::coded::no_target::NoTarget;
-use crate::detection::coded::offset_search::{OffsetSearch, PredictionOffset, ReferenceCorner};
+use crate::detection::coded::offset_search::{PredictionOffset, ReferenceCorner};
 use crate::detection::grid::Node;
 use crate::detection::measure::Probe;
 use crate::detection::measure::cross::{CrossWindow, Vec2};
@@ -33,30 +34,6 @@ pub struct TrackedTarget {
     /// Whether it was tracked instead of searched for: then only the corners that estimate blur and
     /// error are refined, and `std_px` is the same for all.
     pub followed: bool,
-}
-
-/// The board of the last image.
-#[derive(Debug, Default)]
-pub(super) struct LastTarget {
-    /// Its corners, in the board's order.
-    corners: LastCorners,
-    /// Of each, one unit of the lattice along each axis of the grid.
-    steps: Vec<[Vec2; 2]>,
-    /// How it lay in the grid, and the grid's colors.
-    label: Option<(BoardLabel, bool)>,
-    /// On which level of the image it was found.
-    level: usize,
-    /// Width of the blur across its edges, in pixels.
-    blur_px: f32,
-    offsets: OffsetSearch,
-    references: Vec<ReferenceCorner>,
-}
-
-impl LastTarget {
-    fn forget(&mut self) {
-        self.corners.forget();
-        self.label = None;
-    }
 }
 
 impl TargetDetector {

@@ -160,7 +160,7 @@ impl PlacedDepth {
 
 impl PlaneNormal {
     /// That of a board at `color_from_board`, whose surface was measured in `tiles`; each counts
-    /// `weight` times. `None` where one of them is out of the lens's sight or the board is edge-on.
+    /// `weight` times. `None` where one of them is not seen by the lens, or the board is edge-on.
     pub fn of(
         depth: &PlacedDepth,
         color_from_board: &Pose,
@@ -221,7 +221,8 @@ pub fn moved_board(color_from_board: &Pose, step: &Vector6<f64>) -> Pose {
 }
 
 /// The step of `depth_from_color` from one pose to another one near it.
-pub fn depth_pose_step(from: &Pose, to: &Pose) -> Vector6<f64> {
-    let rotation = (to.rotation() * from.rotation().inverse()).scaled_axis();
-    pose_step(&rotation, &(to.translation() - from.translation()))
+pub fn depth_pose_step(depth_from_color: &Pose, moved_depth_from_color: &Pose) -> Vector6<f64> {
+    let (now, then) = (depth_from_color, moved_depth_from_color);
+    let rotation = (then.rotation() * now.rotation().inverse()).scaled_axis();
+    pose_step(&rotation, &(then.translation() - now.translation()))
 }

@@ -1,0 +1,31 @@
+//! The board of the last image of a stream.
+
+use crate::detection::coded::labels::BoardLabel;
+use crate::detection::coded::offset_search::{OffsetSearch, ReferenceCorner};
+use crate::detection::measure::cross::Vec2;
+use crate::detection::tracking::last_corners::LastCorners;
+
+/// The board of the last image.
+#[derive(Debug, Default)]
+pub(super) struct LastTarget {
+    /// Its corners, in the board's order.
+    pub(super) corners: LastCorners,
+    /// Of each, one unit of the lattice along each axis of the grid.
+    pub(super) steps: Vec<[Vec2; 2]>,
+    /// How it lay in the grid, and the grid's colors.
+    pub(super) label: Option<(BoardLabel, bool)>,
+    /// On which level of the image it was found.
+    pub(super) level: usize,
+    /// Width of the blur across its edges, in pixels.
+    pub(super) blur_px: f32,
+    pub(super) offsets: OffsetSearch,
+    pub(super) references: Vec<ReferenceCorner>,
+}
+
+impl LastTarget {
+    /// There is none any more.
+    pub(super) fn forget(&mut self) {
+        self.corners.forget();
+        self.label = None;
+    }
+}
