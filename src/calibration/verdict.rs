@@ -251,6 +251,12 @@ fn accounted_for(estimate: &CameraEstimate) -> Vec<(Grade, String)> {
     let shutter = estimate.rolling_shutter.map(|shutter| {
         let (millimeters, degrees) =
             (shutter.translation_m * 1000.0, shutter.rotation_rad.to_degrees());
+        if shutter.agreement < 1.0 {
+            let percent = 100.0 * shutter.agreement;
+            return format!(
+                "perhaps a rolling shutter: views do not all agree on it, so it counts to {percent:.0} % and the uncertainty has the rest; hold board and camera still for a better result"
+            );
+        }
         format!(
             "rolling shutter: the board moved by {millimeters:.2} mm and {degrees:.2} degrees while an image was read, measured and taken into account; hold both still for a better result"
         )

@@ -184,8 +184,14 @@ fn sensor_lines(name: &str, sensor: &ImageCalibration) -> Vec<String> {
         ));
     }
     if let Some(shutter) = &sensor.rolling_shutter {
+        let agreed = match shutter.agreement {
+            agreement if agreement < 1.0 => {
+                format!("perhaps, views do not all agree: counts to {:.0} %", 100.0 * agreement)
+            }
+            _ => String::from("taken into account"),
+        };
         lines.push(format!(
-            "  rolling shutter: the board moved by {:.3} mm and {:.3} degrees (rms) while an image was read: taken into account",
+            "  rolling shutter: the board moved by {:.3} mm and {:.3} degrees (rms) while an image was read: {agreed}",
             shutter.translation_m * 1000.0,
             shutter.rotation_rad.to_degrees()
         ));

@@ -33,6 +33,15 @@ pub struct RollingShutterDocument {
     pub translation_m: f64,
     /// Root mean square rotation likewise, in radians.
     pub rotation_rad: f64,
+    /// 1 where views agree that it is there; else the part of it, 0 to 1, that is beyond chance, as
+    /// which it counts.
+    #[serde(default = "agreed")]
+    pub agreement: f64,
+}
+
+/// Of documents that do not say.
+fn agreed() -> f64 {
+    1.0
 }
 
 impl From<&MeasuredBoard> for BoardShapeDocument {
@@ -78,12 +87,14 @@ impl TryFrom<&BoardShapeDocument> for MeasuredBoard {
 
 impl From<RollingShutter> for RollingShutterDocument {
     fn from(shutter: RollingShutter) -> Self {
-        Self { translation_m: shutter.translation_m, rotation_rad: shutter.rotation_rad }
+        let RollingShutter { translation_m, rotation_rad, agreement } = shutter;
+        Self { translation_m, rotation_rad, agreement }
     }
 }
 
 impl From<RollingShutterDocument> for RollingShutter {
     fn from(document: RollingShutterDocument) -> Self {
-        Self { translation_m: document.translation_m, rotation_rad: document.rotation_rad }
+        let RollingShutterDocument { translation_m, rotation_rad, agreement } = document;
+        Self { translation_m, rotation_rad, agreement }
     }
 }

@@ -28,6 +28,9 @@ pub struct RollingShutter {
     pub translation_m: f64,
     /// Root mean square rotation likewise, in radians.
     pub rotation_rad: f64,
+    /// 1 where views agree that it is there; else the part of it, 0 to 1, that is beyond chance, as
+    /// which it counts.
+    pub agreement: f64,
 }
 
 /// A corner nearer than this part of the board's extent to a measured one is it.

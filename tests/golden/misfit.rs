@@ -66,31 +66,46 @@ fn a_rolling_shutter_is_named() {
     assert!(named >= 6, "named in {named} of 8");
 }
 
+/// Motions of which eight views show so little that some of them contradict it: what is beyond
+/// chance is taken into account, and the rest is in the deviations.
 #[test]
-fn a_shutter_in_doubt_widens_the_deviations_of_a_flat_board() {
+fn a_shutter_in_doubt_counts_in_part_and_widens_the_deviations() {
     let still = brown().as_stated();
     let may_roll = CameraOptions { shutter: Shutter::Auto, ..still.clone() };
-    let (mut in_doubt, mut observed) = (0, [0.0; 2]);
+    let (mut left_out, mut in_part) = (0, 0);
+    // Squared errors of fx: over the stated variance; in pixels and in pixels without the motion,
+    // where it counts in part.
+    let mut observed = [0.0; 3];
     for seed in 0..60 {
-        let (camera, problem) = rolling(8, 300 + seed, (0.0004, 0.0012));
+        let strength = if seed % 2 == 0 { 1.0 } else { 2.5 };
+        let moved = (0.0004 * strength, 0.0012 * strength);
+        let (camera, problem) = rolling(8, 300 + seed, moved);
         let [with, without] =
             [&may_roll, &still].map(|options| calibrate_camera(&problem, options).unwrap());
         let [std, std_alone] =
             [&with, &without].map(|estimate| estimate.lens_covariance[(0, 0)].sqrt());
-        if with.lens == without.lens && std != std_alone {
-            assert!(std > std_alone, "seed {seed}: {std} px, without {std_alone} px");
-            in_doubt += 1;
-            let off = with.lens.matrix.fx - camera.lens.matrix.fx;
-            observed[0] += (off / std).powi(2);
-            observed[1] += (off / std_alone).powi(2);
+        let [off, off_alone] =
+            [&with, &without].map(|it| it.lens.matrix.fx - camera.lens.matrix.fx);
+        match with.rolling_shutter {
+            Some(shutter) if shutter.agreement < 1.0 => {
+                observed[1] += off * off;
+                observed[2] += off_alone * off_alone;
+                in_part += 1;
+            }
+            None if std != std_alone => {
+                assert_eq!(with.lens, without.lens, "seed {seed}");
+                assert!(std > std_alone, "seed {seed}: {std} px, without {std_alone} px");
+                left_out += 1;
+            }
+            _ => continue,
         }
+        observed[0] += (off / std).powi(2);
     }
-    let z = observed.map(|sum| f64::sqrt(sum / f64::from(in_doubt)));
-    assert!(in_doubt >= 30, "in doubt in {in_doubt} of 60");
-    assert!(
-        (0.75..1.2).contains(&z[0]),
-        "rms of errors over deviations, with the doubt, without: {z:?}"
-    );
+    assert!(left_out >= 10 && in_part >= 10, "left out {left_out}, in part {in_part} of 60");
+    let z = f64::sqrt(observed[0] / f64::from(left_out + in_part));
+    let [off_px, off_alone_px] = [1, 2].map(|k| f64::sqrt(observed[k] / f64::from(in_part)));
+    assert!((0.75..1.2).contains(&z), "rms of errors over deviations: {z}");
+    assert!(off_px < 0.9 * off_alone_px, "off by {off_px} px, without motion {off_alone_px} px");
 }
 
 #[test]

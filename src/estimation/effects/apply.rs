@@ -4,7 +4,7 @@ use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::effects::effect::Wanted;
 use crate::estimation::effects::effects_fit::EffectsFit;
 use crate::estimation::effects::fit::{Corners, Effects, fit_effects};
-use crate::estimation::joint::minimize::Minimum;
+use crate::estimation::joint::minimize::{Minimum, Stop};
 use crate::estimation::problem::{BoardShape, CameraOptions, Shutter};
 use crate::estimation::robust::Loss;
 use crate::geometry::pixel::ImageSize;
@@ -44,7 +44,13 @@ fn carried_on(
     }
     let state = found.state.fixed.clone();
     let mut fit = plain.clone();
-    fit.robust.minimum = Minimum::start(&plain.layout, state, &observations, Loss::Squares)?;
+    let mut minimum = Minimum::start(&plain.layout, state, &observations, Loss::Squares)?;
+    if found.shutter_agreement < 1.0 {
+        let stop = Stop { lambda: 0.0, ..Stop::default() };
+        // The mean of two minima, from which what is left is little.
+        minimum = minimum.descend(&plain.layout, &observations, Loss::Squares, stop);
+    }
+    fit.robust.minimum = minimum;
     fit.robust.limit = corners.limit;
     fit.observations = observations;
     fit.faults = corners.faults;

@@ -25,4 +25,7 @@ pub(crate) struct EffectsFit {
     pub(crate) pose_covariances: Vec<Option<Matrix6<f64>>>,
     /// Covariance of the shape's coefficients (zero for those not in the model).
     pub(crate) shape_covariance: DMatrix<f64>,
+    /// 1 where views agree that the motion in the model is a rolling shutter's; else the part of it
+    /// that is beyond chance, as which it counts.
+    pub(crate) shutter_agreement: f64,
 }

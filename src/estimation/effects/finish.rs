@@ -12,6 +12,7 @@ use crate::estimation::effects::influence::view_jacobians;
 use crate::estimation::effects::state::Scene;
 use crate::estimation::effects::system::System;
 use crate::estimation::joint::{BoardObservation, Layout};
+use crate::geometry::lens::Lens;
 
 impl EffectSearch {
     pub(super) fn finished(self, scene: Scene<'_>) -> Option<EffectsFit> {
@@ -51,6 +52,7 @@ impl EffectSearch {
             shape_covariance: shape_covariance * factor,
             state: self.state.with_rigid_part_in_poses(&basis),
             variances: self.variances,
+            shutter_agreement: 1.0,
             basis: (*basis).clone(),
         })
     }
@@ -78,6 +80,10 @@ fn pose_covariances(
 }
 
 impl EffectsFit {
+    pub(super) fn lens(&self) -> &Lens {
+        &self.state.fixed.lenses[0]
+    }
+
     /// The observations with their points where shape and motion put them.
     pub(crate) fn moved_observations(
         &self,

@@ -10,6 +10,7 @@ use crate::estimation::effects::effect::{Effect, Wanted};
 use crate::estimation::effects::effects_fit::EffectsFit;
 use crate::estimation::effects::evidence::{Posterior, Reduced, Variances};
 use crate::estimation::effects::hints;
+use crate::estimation::effects::shutter::ReadByRows;
 use crate::estimation::effects::state::{EffectsState, Scene};
 use crate::estimation::effects::system::System;
 use crate::estimation::joint::{BoardObservation, State};
@@ -68,6 +69,9 @@ pub(crate) fn fit_effects(plain: &CameraFit, size: [f64; 2], wanted: Wanted) -> 
         limit: plain.robust.limit,
     };
     let mut good = plain.good_views();
+    if good.len() < MIN_VIEWS {
+        return None;
+    }
     let whole = Scene {
         layout,
         basis: &basis,
@@ -77,45 +81,91 @@ pub(crate) fn fit_effects(plain: &CameraFit, size: [f64; 2], wanted: Wanted) -> 
         by_columns: None,
         moves: true,
     };
-    let (mut walk, mut shutter_doubt) = (None::<EffectSearch>, None);
-    for round in 0..MAX_ROUNDS {
-        if good.len() < MIN_VIEWS {
-            return None;
-        }
-        let scene = Scene { observations: &corners.observations, good: &good, ..whole };
-        let start = |wanted| EffectSearch::start(scene, plain.robust.minimum.state.clone(), wanted);
-        let next = match walk.take() {
-            Some(walk) => walk.again(scene)?,
-            None => start(wanted)?,
+    let start =
+        |scene, wanted| EffectSearch::start(scene, plain.robust.minimum.state.clone(), wanted);
+    let scene = Scene { good: &good, ..whole };
+    let walk = start(scene, wanted)?.settled(scene, wanted)?;
+    let weighed = if walk.moves() && !wanted.motion_for_certain {
+        let without = Wanted { motion: false, ..wanted };
+        let still = || match start(scene, without).and_then(|walk| walk.settled(scene, without)) {
+            Some(still) => Some(still),
+            None => EffectSearch::bare(scene, plain.robust.minimum.state.clone()),
         };
-        let mut next = next.settled(scene, wanted)?;
-        let doubtful = round == 0 && !wanted.motion_for_certain && next.moves();
-        if doubtful {
-            let by_rows = next.read_by_rows(scene, width)?;
-            if !by_rows.is_shown {
-                let wanted = Wanted { motion: false, ..wanted };
-                let still = start(wanted).and_then(|walk| walk.settled(scene, wanted));
-                let lens = still.as_ref().map_or(plain.lens(), EffectSearch::lens);
-                shutter_doubt = Some(next.lens_beside(lens) * by_rows.probability.sqrt());
-                let Some(still) = still else {
-                    return Some(Effects { found: None, shutter_doubt });
-                };
-                next = still;
-            }
+        Weighed::of(walk, still, (scene, width))?
+    } else {
+        Weighed { walk, beside: None, shutter_doubt: None }
+    };
+    let Weighed { mut walk, beside, shutter_doubt } = weighed;
+    if walk.variances.0.is_empty() {
+        return Some(Effects { found: None, shutter_doubt });
+    }
+    for round in 0..MAX_ROUNDS {
+        if round > 0 {
+            let scene = Scene { observations: &corners.observations, good: &good, ..whole };
+            walk = walk.again(scene)?.settled(scene, wanted)?;
         }
-        let residuals = std::mem::take(&mut next.system.residuals);
-        walk = Some(next);
+        let residuals = std::mem::take(&mut walk.system.residuals);
         corners.limit = LIMIT * scale_of(&corners.observations, &residuals).max(ROUNDING);
         let Corners { observations, faults, limit } = &mut corners;
         if !select(observations, &residuals, *limit, faults) {
             break;
         }
         good = (0..faults.len()).filter(|view| faults[*view].is_none()).collect();
+        if good.len() < MIN_VIEWS {
+            return None;
+        }
     }
-    let walk = walk?;
     let scene = Scene { observations: &corners.observations, good: &good, ..whole };
     let found = walk.finished(scene)?;
+    let Some(Beside { still, by_rows }) = beside else {
+        return Some(Effects { found: Some((found, corners)), shutter_doubt });
+    };
+    let still = still.settled_again(scene)?.finished(scene)?;
+    let apart = lens_apart(found.lens(), still.lens());
+    let shutter_doubt = Some(apart * by_rows.error());
+    let found = found.averaged_with(&still, (&basis, by_rows.agreement))?;
     Some(Effects { found: Some((found, corners)), shutter_doubt })
+}
+
+/// By how much the parameters of a lens exceed those of another.
+fn lens_apart(lens: &Lens, other: &Lens) -> DVector<f64> {
+    let [lens, other] = [lens, other].map(Lens::parameters);
+    DVector::from_vec(lens) - DVector::from_vec(other)
+}
+
+/// What the views say without a rolling shutter, where they do not agree on one.
+struct Beside {
+    still: EffectSearch,
+    by_rows: ReadByRows,
+}
+
+/// A walk whose motion was weighed.
+struct Weighed {
+    walk: EffectSearch,
+    /// What it is to be averaged with.
+    beside: Option<Beside>,
+    shutter_doubt: Option<DVector<f64>>,
+}
+
+impl Weighed {
+    /// `walk`, or the `still` one where nothing of its motion is beyond chance.
+    fn of(
+        walk: EffectSearch,
+        still: impl FnOnce() -> Option<EffectSearch>,
+        (scene, width): (Scene<'_>, f64),
+    ) -> Option<Self> {
+        let by_rows = walk.read_by_rows(scene, width)?;
+        if by_rows.is_shown {
+            return Some(Self { walk, beside: None, shutter_doubt: None });
+        }
+        let still = still()?;
+        if by_rows.agreement > 0.0 {
+            let beside = Some(Beside { still, by_rows });
+            return Some(Self { walk, beside, shutter_doubt: None });
+        }
+        let shutter_doubt = Some(lens_apart(walk.lens(), still.lens()) * by_rows.error());
+        Some(Self { walk: still, beside: None, shutter_doubt })
+    }
 }
 
 /// The walk. What is not in the model has no unknowns.
@@ -175,6 +225,25 @@ impl EffectSearch {
         Scene { basis, moves: self.moves(), ..scene }
     }
 
+    /// With no effects.
+    fn bare(scene: Scene<'_>, plain: State) -> Option<Self> {
+        let flat = EffectsState::flat_and_still(plain, scene.basis, scene.observations.len());
+        let none = Wanted {
+            shape: false,
+            motion: false,
+            shape_for_certain: false,
+            motion_for_certain: false,
+        };
+        Self::from_state(scene, flat, none)
+    }
+
+    /// At the minimum with corners chosen anew, with the same effects.
+    fn settled_again(self, scene: Scene<'_>) -> Option<Self> {
+        let mut next = self.again(scene)?;
+        next.settle(scene, MAX_STEPS)?;
+        Some(next)
+    }
+
     /// At the minimum, with the effects that are missed without; `None` where there are none.
     fn settled(mut self, scene: Scene<'_>, wanted: Wanted) -> Option<Self> {
         let mut steps = FIRST_STEPS;
@@ -192,12 +261,6 @@ impl EffectSearch {
 
     fn lens(&self) -> &Lens {
         &self.state.fixed.lenses[0]
-    }
-
-    /// By how much the parameters of its lens exceed those of another lens.
-    fn lens_beside(&self, other: &Lens) -> DVector<f64> {
-        let [own, other] = [self.lens(), other].map(|lens| lens.parameters().to_vec());
-        DVector::from_vec(own) - DVector::from_vec(other)
     }
 
     /// The same with corners chosen anew.

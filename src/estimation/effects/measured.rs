@@ -48,7 +48,11 @@ impl RollingShutter {
                 |view: &usize| effects.state.motions[*view].fixed_rows::<3>(from).norm_squared();
             (good.iter().map(square).sum::<f64>() / good.len() as f64).sqrt()
         };
-        Some(Self { translation_m: rms(3), rotation_rad: rms(0) / lever })
+        Some(Self {
+            translation_m: rms(3),
+            rotation_rad: rms(0) / lever,
+            agreement: effects.shutter_agreement,
+        })
     }
 }
 

@@ -17,10 +17,12 @@
 //! | what was found | `effects_fit` |
 //! | whether effects are plausible at all | `hints` |
 //! | whether motion is a rolling shutter's | `shutter` |
+//! | the mean of two models that views do not decide between | `averaged` |
 //! | what each view does to the lens | `influence` |
 //! | dense factors | `dense` |
 
 pub(crate) mod apply;
+mod averaged;
 pub(crate) mod board_basis;
 mod dense;
 pub(crate) mod effect;

@@ -30,6 +30,22 @@ pub(super) struct ReadByRows {
     pub(super) is_shown: bool,
     /// How likely it is that more views would agree on it, 0 to 1.
     pub(super) probability: f64,
+    /// Which part of what they agree on is beyond chance, 0 to 1: of a mean that is t of its
+    /// standard deviations from 0 it is 1 - 1/t², the estimate that is never worse than to believe
+    /// all of it or none (W. James, C. Stein, *Estimation with quadratic loss*, 1961, its positive
+    /// part).
+    pub(super) agreement: f64,
+}
+
+impl ReadByRows {
+    /// The root of the mean square error of a result in which the motion counts as `agreement`, of
+    /// two of which the one with a rolling shutter is right with `probability`, in units of how far
+    /// they are apart.
+    pub(super) fn error(&self) -> f64 {
+        let Self { probability, agreement, .. } = *self;
+        let missing = probability * (1.0 - agreement).powi(2);
+        (missing + (1.0 - probability) * agreement.powi(2)).sqrt()
+    }
 }
 
 impl EffectSearch {
@@ -61,8 +77,11 @@ impl EffectSearch {
         let t = mean / std.max(f64::MIN_POSITIVE);
         let deviations = normal_deviations(t, count - 1.0);
         let agree = t >= AGREED && deviations >= AGREED_OF_FEW;
+        let is_favored = rows - columns >= LEAST_GROUP_GAIN;
+        let beyond_chance = if is_favored { (1.0 - 1.0 / (t * t)).max(0.0) } else { 0.0 };
         Some(ReadByRows {
-            is_shown: rows - columns >= LEAST_GROUP_GAIN && agree,
+            is_shown: is_favored && agree,
+            agreement: if t > 0.0 { beyond_chance } else { 0.0 },
             probability: 0.5 * libm::erfc(-deviations * std::f64::consts::FRAC_1_SQRT_2),
         })
     }
@@ -104,6 +123,19 @@ fn normal_deviations(t: f64, freedom: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_counts_in_full_or_not_at_all_errs_where_the_other_is_right() {
+        let error = |agreement| {
+            let by_rows = ReadByRows { is_shown: false, probability: 0.75, agreement };
+            by_rows.error()
+        };
+        assert!((error(0.0) - f64::sqrt(0.75)).abs() < 1e-12);
+        assert!((error(1.0) - 0.5).abs() < 1e-12);
+        // The least error is that of the mean of both, each as it is likely.
+        assert!((error(0.75) - f64::sqrt(0.75 * 0.25)).abs() < 1e-12);
+        assert!(error(0.7) > error(0.75) && error(0.8) > error(0.75));
+    }
 
     /// Of the tables of Student's distribution: half a percent beyond, at 3, 5, 14 and 29 degrees of
     /// freedom.

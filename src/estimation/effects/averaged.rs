@@ -1,0 +1,118 @@
+//! One result of two models that the views do not decide between, with a rolling shutter and
+//! without: their weighted mean (J. A. Hoeting, D. Madigan, A. E. Raftery, C. T. Volinsky,
+//! *Bayesian model averaging: a tutorial*, 1999, equations 1 to 3). A choice of one of them would
+//! jump as single views come and go.
+
+use nalgebra::{DMatrix, DVector, Matrix6};
+
+use crate::estimation::effects::board_basis::BoardBasis;
+use crate::estimation::effects::effect::Effect;
+use crate::estimation::effects::effects_fit::EffectsFit;
+use crate::estimation::effects::evidence::Variances;
+use crate::estimation::effects::state::EffectsState;
+use crate::geometry::lens::Lens;
+use crate::geometry::pose::{Pose, pose_step};
+
+impl EffectsFit {
+    /// The mean of this fit, which has a rolling shutter and counts `agreement`, and of `still`,
+    /// which has none. `full` is the basis that both are parts of. How far the two lenses are apart
+    /// is not in the covariance.
+    ///
+    /// `None` where the mean of the two lenses is no lens.
+    pub(super) fn averaged_with(
+        &self,
+        still: &Self,
+        (full, agreement): (&BoardBasis, f64),
+    ) -> Option<Self> {
+        let (p, q) = (agreement, 1.0 - agreement);
+        let variances = union(full, &self.variances, &still.variances);
+        let effects: Vec<Effect> = variances.0.iter().map(|(effect, _)| *effect).collect();
+        let (basis, _) = full.only(&effects);
+        let [own, other] = [self, still].map(|fit| fit.places_in(&basis));
+        let [own_shape, other_shape] = [(self, &own), (still, &other)]
+            .map(|(fit, places)| placed(&fit.state.shape, places, basis.len()));
+        let apart = &own_shape - &other_shape;
+        let [own_spread, other_spread] = [(self, &own), (still, &other)]
+            .map(|(fit, places)| placed_square(&fit.shape_covariance, places, basis.len()));
+        let inflation = p * self.inflation + q * still.inflation;
+        let mut fixed = if p > q { &self.state.fixed } else { &still.state.fixed }.clone();
+        fixed.lenses[0] = mean_lens([&self.state, &still.state].map(|s| &s.fixed.lenses[0]), p)?;
+        let pose_covariances = (0..self.pose_covariances.len())
+            .map(|index| {
+                let [own, other] = [self, still].map(|fit| fit.pose_covariances[index]);
+                // Of one camera: an observation is a frame set.
+                let [a, b] = [self, still].map(|fit| &fit.state.fixed.rig_from_board[index]);
+                let within = own? * (p * self.inflation) + other? * (q * still.inflation);
+                let apart = step_between(a, b);
+                Some((within + apart * (p * q)) / inflation)
+            })
+            .collect();
+        Some(Self {
+            state: EffectsState {
+                fixed,
+                shape: (&own_shape * p + &other_shape * q).as_slice().to_vec(),
+                motions: self.state.motions.iter().map(|motion| motion * p).collect(),
+            },
+            variances,
+            noise_square: p * self.noise_square + q * still.noise_square,
+            lens_covariance: &self.lens_covariance * p + &still.lens_covariance * q,
+            inflation,
+            weight_of_views: p * self.weight_of_views + q * still.weight_of_views,
+            pose_covariances,
+            shape_covariance: own_spread * p
+                + other_spread * q
+                + &apart * apart.transpose() * (p * q),
+            shutter_agreement: agreement,
+            basis,
+        })
+    }
+
+    /// Where its coefficients lie in those of a wider basis.
+    fn places_in(&self, wider: &BoardBasis) -> Vec<usize> {
+        let effects: Vec<Effect> = self.variances.0.iter().map(|(effect, _)| *effect).collect();
+        wider.only(&effects).1
+    }
+}
+
+/// The effects of either, in the order of `full`.
+fn union(full: &BoardBasis, a: &Variances, b: &Variances) -> Variances {
+    let heights = full.height_groups().into_iter().map(Effect::Height);
+    let others = [Effect::Stretch, Effect::Own, Effect::Rotation, Effect::Translation];
+    let known = |effect: Effect| Some((effect, a.of(effect).or_else(|| b.of(effect))?));
+    Variances(heights.chain(others).filter_map(known).collect())
+}
+
+fn placed(values: &[f64], places: &[usize], len: usize) -> DVector<f64> {
+    let mut of = DVector::zeros(len);
+    places.iter().zip(values).for_each(|(place, value)| of[*place] = *value);
+    of
+}
+
+fn placed_square(values: &DMatrix<f64>, places: &[usize], len: usize) -> DMatrix<f64> {
+    let mut of = DMatrix::zeros(len, len);
+    for (k, row) in places.iter().enumerate() {
+        for (l, column) in places.iter().enumerate() {
+            of[(*row, *column)] = values[(k, l)];
+        }
+    }
+    of
+}
+
+/// The lens whose parameters are `part` of the first one's and the rest of the second one's.
+fn mean_lens([a, b]: [&Lens; 2], part: f64) -> Option<Lens> {
+    let parameters: Vec<f64> = a
+        .parameters()
+        .iter()
+        .zip(b.parameters())
+        .map(|(a, b)| part * a + (1.0 - part) * b)
+        .collect();
+    Lens::from_parameters(a.model(), &parameters)
+}
+
+/// d dᵀ of the step d from one pose of a board to another.
+fn step_between(a_from_board: &Pose, b_from_board: &Pose) -> Matrix6<f64> {
+    let rotation = (a_from_board.rotation() * b_from_board.rotation().inverse()).scaled_axis();
+    let translation = a_from_board.translation() - b_from_board.translation();
+    let step = pose_step(&rotation, &translation);
+    step * step.transpose()
+}
