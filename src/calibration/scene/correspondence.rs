@@ -11,9 +11,12 @@ use crate::estimation::scene::rotation_only::RotatedPair;
 use crate::estimation::two_view::PointPair;
 use crate::estimation::two_view::degeneracy::{TwoViewGeometry, TwoViewKind, two_view_geometry};
 use crate::features::detector::{FeatureOptions, Features, find_features};
-use crate::features::matching::{DescriptorTable, Match, match_descriptors};
+use crate::features::matching::{
+    Comparison, DescriptorTable, Match, compare_descriptors, match_descriptors,
+};
 use crate::features::patch::PatchImage;
 use crate::features::tracks::join_tracks;
+use crate::geometry::median::median;
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::imaging::gray::GrayView;
 use crate::imaging::stated_camera::StatedCamera;
@@ -101,6 +104,9 @@ pub(super) struct ImagePairs {
     pub still: usize,
     /// The number of inlier matches between each image and the next.
     pub between_neighbors: Vec<usize>,
+    /// By image but the last, the part of its features that show what the next image shows at
+    /// several places.
+    pub repeated: Vec<f64>,
     /// By image, an earlier one that shows the same from the same place: such an image is in no pair
     /// and no track, since what it says was already said, errors and all.
     pub same_as: Vec<Option<usize>>,
@@ -128,21 +134,23 @@ pub(super) fn correspond(
         images.iter().map(|image| image.table(PREVIEWED)).collect();
     let pairs: Vec<(usize, usize)> =
         (0..images.len()).flat_map(|i| (i + 1..images.len()).map(move |j| (i, j))).collect();
-    let matched: Vec<Matched> = in_parallel(&pairs, threads, |(i, j)| {
-        if interrupt.is_requested() {
-            return None;
-        }
+    let compared = in_parallel(&pairs, threads, |(i, j)| {
         let is_neighbor = *j == i + 1;
+        if interrupt.is_requested() {
+            return (None, None);
+        }
         let preview = match_descriptors(&previews[*i], &previews[*j]);
         if preview.len() < LEAST_PREVIEWED && !is_neighbor {
-            return None;
+            return (None, None);
         }
-        let matches = match_descriptors(&tables[*i], &tables[*j]);
+        let Comparison { matches, repeated } = compare_descriptors(&tables[*i], &tables[*j]);
+        let part = repeated as f64 / images[*i].feature_count().max(1) as f64;
         let points = matches.iter().map(|m| point_pair(&images[*i], &images[*j], *m));
         let points: Vec<PointPair> = points.collect();
-        let geometry = two_view_geometry(&points, size)?;
-        Some((matches, points, geometry))
+        let geometry = two_view_geometry(&points, size);
+        (geometry.map(|geometry| (matches, points, geometry)), is_neighbor.then_some(part))
     });
+    let (matched, repeated): (Vec<Matched>, Vec<Option<f64>>) = compared.into_iter().unzip();
     let mut found = ImagePairs {
         problem: SceneProblem {
             image_size: size,
@@ -156,6 +164,7 @@ pub(super) fn correspond(
         nearly_planar: 0,
         still: 0,
         between_neighbors: Vec::new(),
+        repeated: repeated.into_iter().flatten().collect(),
         same_as: Vec::new(),
     };
     found.same_as = same_views(images, pairs.iter().zip(&matched));
@@ -211,6 +220,12 @@ fn same_views<'a>(
 }
 
 impl ImagePairs {
+    /// The part of an image's features that show what the next image shows at several places: the
+    /// median over the images.
+    pub fn repeated_part(&self) -> f64 {
+        median(self.repeated.clone()).unwrap_or(0.0)
+    }
+
     /// How many images show different views.
     pub fn views(&self) -> usize {
         self.same_as.iter().filter(|same| same.is_none()).count()

@@ -75,6 +75,14 @@ pub enum SceneRefusal {
         /// The median number of inlier matches between an image and the next.
         between_neighbors: usize,
     },
+    /// Places are alike: matches are between wrong ones.
+    #[error(
+        "the texture repeats: {percent:.0} % of what an image shows is alike at several places of the next one, so that matches are ambiguous; photograph something whose texture does not repeat"
+    )]
+    RepeatedTexture {
+        /// The part of the features of an image that the next shows at several places: the median.
+        percent: f64,
+    },
     /// The same image, or a camera on a tripod.
     #[error(
         "the camera stood still (or all images are the same one): move it around the scene between images"

@@ -201,3 +201,21 @@ fn what_cannot_be_calibrated_is_refused_by_name() {
     let tiny = [image("a", &tiny), image("b", &tiny), image("c", &tiny)];
     assert!(calibrate_scene(&tiny, &options).is_err());
 }
+
+#[test]
+fn a_texture_that_repeats_is_named() {
+    const PERIOD: usize = 40;
+    let mut random = ChaCha8Rng::seed_from_u64(10);
+    let blocks: Vec<u8> = (0..100).map(|_| random.random_range(0..255)).collect();
+    let image = |name: &str, [right, down]: [usize; 2]| {
+        let at = |k: usize| {
+            let (x, y) = ((k % 320 + right) % PERIOD, (k / 320 + down) % PERIOD);
+            blocks[y / 4 * 10 + x / 4]
+        };
+        let gray = GrayImage::from_pixels(320, 240, (0..320 * 240).map(at).collect()).unwrap();
+        SceneImage::of(name.to_owned(), gray.view())
+    };
+    let images = [image("a", [0, 0]), image("b", [13, 6]), image("c", [27, 15])];
+    let refused = calibrate_scene(&images, &SceneOptions::default()).unwrap_err();
+    assert!(refused.to_string().starts_with("the texture repeats: "), "{refused}");
+}

@@ -96,6 +96,7 @@ fn instead(refusal: &SceneRefusal) -> String {
         SceneRefusal::FocalUndetermined { .. } => format!("{SIDEWAYS}; then {ROLL}"),
         SceneRefusal::OnePlane => format!("{DEPTH}, not at one plane"),
         SceneRefusal::NoTexture { .. } => TEXTURE.to_owned(),
+        SceneRefusal::RepeatedTexture { .. } => format!("{TEXTURE} that does not repeat"),
         SceneRefusal::NothingAgrees { .. } | SceneRefusal::TooFewConnected { .. } => {
             format!("take smaller steps, and {TEXTURE} that does not repeat")
         }

@@ -82,6 +82,10 @@ const ROBUST: f64 = 2.4;
 
 const COMPARING: BundleStop = BundleStop { max_steps: 10, least_decrease: 1e-3 };
 
+/// If more of an image's features are at several places of the next one, its texture repeats:
+/// between what photographs have, 0.27 at most, and what repeats, 0.77 at least.
+const REPEATED: f64 = 0.5;
+
 /// Less parallax, in degrees, than this leaves focal length and depth to the noise.
 const LEAST_PARALLAX_DEG: f64 = 2.0;
 
@@ -101,10 +105,10 @@ pub fn calibrate_scene(
     let goes_on = || options.interrupt.check().map_err(|_| SceneRefusal::Interrupted);
     let found = correspond(images, size, (options.threads, &options.interrupt));
     goes_on()?;
-    let start = reconstruction(&found, options);
+    let start = reconstruction(&found, options).map_err(|refusal| explained(refusal, &found));
     goes_on()?;
     let mut start = start?;
-    check_rotation(&start)?;
+    check_rotation(&start).map_err(|refusal| explained(refusal, &found))?;
     settle(&mut start);
     localize(images, &mut start, options.threads);
     goes_on()?;
@@ -117,7 +121,8 @@ pub fn calibrate_scene(
         focal_lengths::widen(&mut fit, others);
     }
     let conditions = SceneConditions::of(&fit.fit.bundle, &fit.fit.state);
-    check_determined(&fit, &conditions, &found, &start)?;
+    check_determined(&fit, &conditions, &found, &start)
+        .map_err(|refusal| explained(refusal, &found))?;
     let name = |pose: usize| images[start.images[pose]].name.clone();
     let different_focals = others.map(|others| focal_lengths::reason(&others, name));
     let mut calibration = finished(images, &start, &fit, (&conditions, &found, different_focals));
@@ -126,6 +131,26 @@ pub fn calibrate_scene(
     let unfit = options.nominal_focal.and_then(|nominal| verdict::unfit_focal(nominal, focal));
     calibration.verdict.reasons.extend(unfit);
     Ok(calibration)
+}
+
+/// What is behind `refusal`: of a texture that repeats, matches are between places that are alike,
+/// and whatever they seem to show of the camera's motion is by chance.
+fn explained(refusal: SceneRefusal, found: &ImagePairs) -> SceneRefusal {
+    let part = found.repeated_part();
+    let is_of_matches = matches!(
+        refusal,
+        SceneRefusal::NothingAgrees { .. }
+            | SceneRefusal::OnePlane
+            | SceneRefusal::HardlyAnyParallax
+            | SceneRefusal::TooFewConnected { .. }
+            | SceneRefusal::ForwardMotion { .. }
+            | SceneRefusal::FocalUndetermined { .. }
+    );
+    if is_of_matches && part > REPEATED {
+        SceneRefusal::RepeatedTexture { percent: 100.0 * part }
+    } else {
+        refusal
+    }
 }
 
 /// The size of all images, if there are enough and they have features.
