@@ -22,13 +22,6 @@ const MOST_COEFFICIENTS: usize = 5;
 /// in 500.
 const WORTH: f64 = 6.0;
 
-/// What all images, all parts of a scene and all regions of the image share leaves no trace in the
-/// differences between them: variances are larger by this factor. Measured by
-/// `benches/scene_coverage` on seeds 6200 to 6203: errors were 1.15 times (rms) what the clusters
-/// alone predict, in orbits, sideways motion and rotations alike; a little more, since it is few
-/// worlds that say so.
-const BEYOND_CLUSTERS: f64 = 1.5;
-
 /// Fits the lens that is asked for.
 pub(super) fn fit_lens(
     start: &Reconstruction,
@@ -141,12 +134,21 @@ fn fit_model(
     let alone = lens_covariance(&fit.bundle, &fit.state).ok_or(SceneRefusal::NoFit)?;
     // Observations that err together say as little as fewer that do not: against the priors, and
     // between models, they count as much as they say.
-    let factor = alone.shared * BEYOND_CLUSTERS;
+    let factor =
+        before_taken_up(alone.shared, fit.bundle.free_part(fit.state.cameras_from_scene.len()));
     fit.bundle.rescaled(factor.sqrt());
     fit.state = fit.bundle.minimize(fit.state, FITTING);
     let mut covariance = lens_covariance(&fit.bundle, &fit.state).ok_or(SceneRefusal::NoFit)?;
     covariance.shared *= factor;
     Ok(averaged_over_cropping(LensFit { fit, covariance, cropped: 0.0 }))
+}
+
+/// The factor on variances because observations err together, of what residuals show of it,
+/// `shared`: points and poses take up what the images of a point share, and a residual keeps the
+/// part `free` of it, on average. What clusters of residuals vary by beyond chance is the square of
+/// that part of what there is.
+fn before_taken_up(shared: f64, free: f64) -> f64 {
+    1.0 + (shared - 1.0) / (free * free)
 }
 
 /// Whether `model` is one of the family of Brown's polynomials.
@@ -171,4 +173,17 @@ fn first_guess(start: &Reconstruction, model: LensModel) -> Vec<f64> {
         *own = *first;
     }
     parameters
+}
+
+#[cfg(test)]
+mod tests {
+    use super::before_taken_up;
+
+    #[test]
+    fn what_points_take_up_is_given_back() {
+        assert_eq!(before_taken_up(1.0, 0.3), 1.0);
+        assert_eq!(before_taken_up(5.0, 1.0), 5.0);
+        // Half of each error is taken up: what is left of its square is a quarter.
+        assert_eq!(before_taken_up(5.0, 0.5), 17.0);
+    }
 }
