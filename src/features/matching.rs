@@ -42,7 +42,7 @@ impl DescriptorTable {
 /// Two descriptors that share this part of their direction both with a third are of one texture
 /// that repeats. Where the texture repeats, 77 to 89 % of the features of an image have two such in
 /// the next one; in photographs of rooms, houses and things up to 12 %, of chessboards up to 27 %
-/// (OpenCV's SIFT, pairs of images of nine sets).
+/// (OpenCV's SIFT, pairs of images of eight sets).
 const SAME_PRODUCT: f32 = 0.95;
 
 /// What the features of one image find in another.

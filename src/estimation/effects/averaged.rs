@@ -15,8 +15,8 @@ use crate::geometry::pose::{Pose, pose_step};
 
 impl EffectsFit {
     /// The mean of this fit, which has a rolling shutter and counts `agreement`, and of `still`,
-    /// which has none. `full` is the basis that both are parts of. How far the two lenses are apart
-    /// is not in the covariance.
+    /// which has none. `full` is the basis that both are parts of. How far the two lenses differ is
+    /// not in the covariance.
     ///
     /// `None` where the mean of the two lenses is no lens.
     pub(super) fn averaged_with(
@@ -31,7 +31,7 @@ impl EffectsFit {
         let [own, other] = [self, still].map(|fit| fit.places_in(&basis));
         let [own_shape, other_shape] = [(self, &own), (still, &other)]
             .map(|(fit, places)| placed(&fit.state.shape, places, basis.len()));
-        let apart = &own_shape - &other_shape;
+        let difference = &own_shape - &other_shape;
         let [own_spread, other_spread] = [(self, &own), (still, &other)]
             .map(|(fit, places)| placed_square(&fit.shape_covariance, places, basis.len()));
         let inflation = p * self.inflation + q * still.inflation;
@@ -43,8 +43,8 @@ impl EffectsFit {
                 // Of one camera: an observation is a frame set.
                 let [a, b] = [self, still].map(|fit| &fit.state.fixed.rig_from_board[index]);
                 let within = own? * (p * self.inflation) + other? * (q * still.inflation);
-                let apart = step_between(a, b);
-                Some((within + apart * (p * q)) / inflation)
+                let difference = step_between(a, b);
+                Some((within + difference * (p * q)) / inflation)
             })
             .collect();
         Some(Self {
@@ -61,7 +61,7 @@ impl EffectsFit {
             pose_covariances,
             shape_covariance: own_spread * p
                 + other_spread * q
-                + &apart * apart.transpose() * (p * q),
+                + &difference * difference.transpose() * (p * q),
             shutter_agreement: agreement,
             basis,
         })

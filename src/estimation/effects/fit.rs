@@ -10,7 +10,7 @@ use crate::estimation::effects::effect::{Effect, Wanted};
 use crate::estimation::effects::effects_fit::EffectsFit;
 use crate::estimation::effects::evidence::{Posterior, Reduced, Variances};
 use crate::estimation::effects::hints;
-use crate::estimation::effects::shutter::ReadByRows;
+use crate::estimation::effects::read_by_rows::ReadByRows;
 use crate::estimation::effects::state::{EffectsState, Scene};
 use crate::estimation::effects::system::System;
 use crate::estimation::joint::{BoardObservation, State};
@@ -93,9 +93,9 @@ pub(crate) fn fit_effects(plain: &CameraFit, size: [f64; 2], wanted: Wanted) -> 
         };
         Weighed::of(walk, still, (scene, width))?
     } else {
-        Weighed { walk, beside: None, shutter_doubt: None }
+        Weighed { walk, without: None, shutter_doubt: None }
     };
-    let Weighed { mut walk, beside, shutter_doubt } = weighed;
+    let Weighed { mut walk, without, shutter_doubt } = weighed;
     if walk.variances.0.is_empty() {
         return Some(Effects { found: None, shutter_doubt });
     }
@@ -117,24 +117,24 @@ pub(crate) fn fit_effects(plain: &CameraFit, size: [f64; 2], wanted: Wanted) -> 
     }
     let scene = Scene { observations: &corners.observations, good: &good, ..whole };
     let found = walk.finished(scene)?;
-    let Some(Beside { still, by_rows }) = beside else {
+    let Some(WithoutMotion { still, by_rows }) = without else {
         return Some(Effects { found: Some((found, corners)), shutter_doubt });
     };
     let still = still.settled_again(scene)?.finished(scene)?;
-    let apart = lens_apart(found.lens(), still.lens());
-    let shutter_doubt = Some(apart * by_rows.error());
+    let difference = lens_difference(found.lens(), still.lens());
+    let shutter_doubt = Some(difference * by_rows.error());
     let found = found.averaged_with(&still, (&basis, by_rows.agreement))?;
     Some(Effects { found: Some((found, corners)), shutter_doubt })
 }
 
 /// By how much the parameters of a lens exceed those of another.
-fn lens_apart(lens: &Lens, other: &Lens) -> DVector<f64> {
+fn lens_difference(lens: &Lens, other: &Lens) -> DVector<f64> {
     let [lens, other] = [lens, other].map(Lens::parameters);
     DVector::from_vec(lens) - DVector::from_vec(other)
 }
 
 /// What the views say without a rolling shutter, where they do not agree on one.
-struct Beside {
+struct WithoutMotion {
     still: EffectSearch,
     by_rows: ReadByRows,
 }
@@ -143,7 +143,7 @@ struct Beside {
 struct Weighed {
     walk: EffectSearch,
     /// What it is to be averaged with.
-    beside: Option<Beside>,
+    without: Option<WithoutMotion>,
     shutter_doubt: Option<DVector<f64>>,
 }
 
@@ -156,15 +156,15 @@ impl Weighed {
     ) -> Option<Self> {
         let by_rows = walk.read_by_rows(scene, width)?;
         if by_rows.is_shown {
-            return Some(Self { walk, beside: None, shutter_doubt: None });
+            return Some(Self { walk, without: None, shutter_doubt: None });
         }
         let still = still()?;
         if by_rows.agreement > 0.0 {
-            let beside = Some(Beside { still, by_rows });
-            return Some(Self { walk, beside, shutter_doubt: None });
+            let without = Some(WithoutMotion { still, by_rows });
+            return Some(Self { walk, without, shutter_doubt: None });
         }
-        let shutter_doubt = Some(lens_apart(walk.lens(), still.lens()) * by_rows.error());
-        Some(Self { walk: still, beside: None, shutter_doubt })
+        let shutter_doubt = Some(lens_difference(walk.lens(), still.lens()) * by_rows.error());
+        Some(Self { walk: still, without: None, shutter_doubt })
     }
 }
 

@@ -16,7 +16,7 @@
 //! | covariances at the end | `finish` |
 //! | what was found | `effects_fit` |
 //! | whether effects are plausible at all | `hints` |
-//! | whether motion is a rolling shutter's | `shutter` |
+//! | whether motion is a rolling shutter's | `shutter`, `read_by_rows` |
 //! | the mean of two models that views do not decide between | `averaged` |
 //! | what each view does to the lens | `influence` |
 //! | dense factors | `dense` |
@@ -35,6 +35,7 @@ mod influence;
 #[cfg(test)]
 mod jacobian_tests;
 mod measured;
+mod read_by_rows;
 mod shape_products;
 mod shutter;
 pub(crate) mod state;

@@ -7,6 +7,7 @@ use nalgebra::Matrix6;
 
 use crate::estimation::effects::evidence::Reduced;
 use crate::estimation::effects::fit::{EffectSearch, LEAST_GROUP_GAIN, MAX_STEPS};
+use crate::estimation::effects::read_by_rows::ReadByRows;
 use crate::estimation::effects::state::Scene;
 use crate::estimation::effects::system::ViewPart;
 use crate::geometry::median::median;
@@ -22,31 +23,6 @@ const AGREED_OF_FEW: f64 = 2.33;
 /// A view counts for this many times what views typically do at most: one whose motion has not
 /// settled must not decide.
 const MOST: f64 = 5.0;
-
-/// Whether views were read by rows rather than by columns.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct ReadByRows {
-    /// They agree on it.
-    pub(super) is_shown: bool,
-    /// How likely it is that more views would agree on it, 0 to 1.
-    pub(super) probability: f64,
-    /// Which part of what they agree on is beyond chance, 0 to 1: of a mean that is t of its
-    /// standard deviations from 0 it is 1 - 1/t², the estimate that is never worse than to believe
-    /// all of it or none (W. James, C. Stein, *Estimation with quadratic loss*, 1961, its positive
-    /// part).
-    pub(super) agreement: f64,
-}
-
-impl ReadByRows {
-    /// The root of the mean square error of a result in which the motion counts as `agreement`, of
-    /// two of which the one with a rolling shutter is right with `probability`, in units of how far
-    /// they are apart.
-    pub(super) fn error(&self) -> f64 {
-        let Self { probability, agreement, .. } = *self;
-        let missing = probability * (1.0 - agreement).powi(2);
-        (missing + (1.0 - probability) * agreement.powi(2)).sqrt()
-    }
-}
 
 impl EffectSearch {
     /// Whether views agree that they were read by rows rather than by columns, which explains
@@ -123,19 +99,6 @@ fn normal_deviations(t: f64, freedom: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn what_counts_in_full_or_not_at_all_errs_where_the_other_is_right() {
-        let error = |agreement| {
-            let by_rows = ReadByRows { is_shown: false, probability: 0.75, agreement };
-            by_rows.error()
-        };
-        assert!((error(0.0) - f64::sqrt(0.75)).abs() < 1e-12);
-        assert!((error(1.0) - 0.5).abs() < 1e-12);
-        // The least error is that of the mean of both, each as it is likely.
-        assert!((error(0.75) - f64::sqrt(0.75 * 0.25)).abs() < 1e-12);
-        assert!(error(0.7) > error(0.75) && error(0.8) > error(0.75));
-    }
 
     /// Of the tables of Student's distribution: half a percent beyond, at 3, 5, 14 and 29 degrees of
     /// freedom.
