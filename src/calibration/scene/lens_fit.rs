@@ -183,7 +183,7 @@ mod tests {
     fn what_points_take_up_is_given_back() {
         assert_eq!(before_taken_up(1.0, 0.3), 1.0);
         assert_eq!(before_taken_up(5.0, 1.0), 5.0);
-        // Half of each error is taken up: what is left of its square is a quarter.
+        // A residual keeps half of each error, a quarter of its square.
         assert_eq!(before_taken_up(5.0, 0.5), 17.0);
     }
 }

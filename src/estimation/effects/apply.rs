@@ -47,7 +47,7 @@ fn carried_on(
     let mut minimum = Minimum::start(&plain.layout, state, &observations, Loss::Squares)?;
     if found.shutter_agreement < 1.0 {
         let stop = Stop { lambda: 0.0, ..Stop::default() };
-        // The mean of two minima, from which what is left is little.
+        // The mean of two minima is few steps from its own.
         minimum = minimum.descend(&plain.layout, &observations, Loss::Squares, stop);
     }
     fit.robust.minimum = minimum;
