@@ -96,7 +96,7 @@ pub enum Rejection {
 impl Rejection {
     /// The stable names, as counted in [`Rejections`], in the order of documents: those of
     /// [`NoBoard::KINDS`] among them.
-    pub const KINDS: [&'static str; 20] = [
+    pub const KINDS: [&'static str; 21] = [
         "no_corners",
         "no_grid",
         "other_size",
@@ -108,6 +108,7 @@ impl Rejection {
         "no_markers",
         "other_board",
         "two_places",
+        "mirrored",
         "partial",
         "blurred",
         "moving",

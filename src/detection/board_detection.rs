@@ -157,7 +157,7 @@ pub enum NoBoard {
 
 impl NoBoard {
     /// Every name that [`Self::kind`] gives.
-    pub const KINDS: [&'static str; 12] = [
+    pub const KINDS: [&'static str; 13] = [
         "image_too_small",
         "low_contrast",
         "blurred",
@@ -170,6 +170,7 @@ impl NoBoard {
         "no_markers",
         "other_board",
         "two_places",
+        "mirrored",
     ];
 
     /// A short stable name for counters and events.

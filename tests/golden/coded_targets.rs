@@ -351,6 +351,40 @@ fn squares_that_fill_the_image_are_found() {
 }
 
 #[test]
+fn small_squares_are_found_though_their_gaps_are_three_pixels() {
+    for seed in 0..10 {
+        let target = Target::Charuco(charuco("DICT_4X4_50", 5, false));
+        let print = PrintedBoard::of(&target);
+        let middle = [print.width_m / 2.0, print.height_m / 2.0];
+        let square_px = 18.0 + seed as f64;
+        let image = image_of(&print, middle, square_px / 0.04, seed);
+        let corners = right_corners(&target, &target, &image, seed)
+            .unwrap_or_else(|none| panic!("squares of {square_px} px: {none}"));
+        assert!(corners * 10 >= 9 * target.corner_count(), "{square_px} px: {corners} corners");
+    }
+}
+
+#[test]
+fn a_board_in_mirror_image_is_named_as_such() {
+    for (seed, target) in [
+        Target::Charuco(charuco("DICT_5X5_100", 5, true)),
+        Target::Charuco(CharucoBoard { legacy: None, ..charuco("DICT_4X4_50", 6, false) }),
+        Target::AprilGrid(april_grid("tag36h11", 2, 0)),
+    ]
+    .iter()
+    .enumerate()
+    {
+        let (image, _) = image(target, seed as u64);
+        let flipped = (0..HEIGHT).flat_map(|y| image.row(y).iter().rev().copied());
+        let flipped =
+            GrayImage::from_pixels(WIDTH, HEIGHT, flipped.collect()).expect("as many pixels");
+        let mut finder = TargetFinder::new(target);
+        let none = finder.find(flipped.view(), &DetectOptions::default()).expect_err("mirrored");
+        assert!(none.to_string().contains("in mirror image"), "{target}: {none}");
+    }
+}
+
+#[test]
 fn squares_of_other_boards_that_fill_the_image_are_not_answered() {
     let asked = charuco("DICT_6X6_250", 6, false);
     let others = [

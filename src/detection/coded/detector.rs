@@ -14,10 +14,11 @@ use crate::detection::coded::no_target::NoTarget;
 use crate::detection::coded::order::by_reach;
 use crate::detection::coded::reading::MarkerReading;
 use crate::detection::coded::sheet::Sheets;
-use crate::detection::grid::Grid;
+use crate::detection::grid::{Grid, Node};
 use crate::detection::measure::Probe;
 use crate::detection::measure::cross::Vec2;
 use crate::detection::refine::{GridCorner, RefinedCorner, Refiner};
+use crate::detection::search::between::BetweenLevels;
 use crate::detection::search::candidates::CandidateSearch;
 use crate::detection::search::pyramid::{Pyramid, coarsest_level};
 use crate::detection::search::response::Response;
@@ -38,10 +39,13 @@ pub struct TargetDetector {
     pub(super) thresholds: Thresholds,
     pub(super) sheets: Sheets,
     pub(super) pyramid: Pyramid,
+    pub(super) between: BetweenLevels,
     response: Response,
-    candidates: CandidateSearch,
+    pub(super) candidates: CandidateSearch,
     pub(super) neighborhood: Neighborhood,
-    used: Vec<bool>,
+    pub(super) used: Vec<bool>,
+    /// Squares of three candidates that were measured on this level.
+    pub(super) open_squares: usize,
     /// Candidates in the order in which they are started from, and how far their squares reach.
     order: Vec<(usize, usize)>,
     pairs: Vec<ChartPair>,
@@ -62,21 +66,25 @@ pub(super) struct FoundTarget {
     pub label: BoardLabel,
     /// On which level of the image its markers were read.
     pub level: usize,
+    /// Whether it was found at a scale that the pyramid lacks.
+    pub between: bool,
 }
 
 /// Which lattices are searched for.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum LatticeSearch {
+pub(super) enum LatticeSearch {
     /// Of several squares.
     Boards,
     /// Of as little as one square that fills the image.
     FewSquares,
+    /// Of squares so small that their corners show in twice the image only.
+    SmallSquares,
 }
 
 impl LatticeSearch {
     fn least_crossings(self, limits: &LatticeThresholds) -> usize {
         match self {
-            Self::Boards => limits.least_crossings,
+            Self::Boards | Self::SmallSquares => limits.least_crossings,
             Self::FewSquares => limits.fewest_crossings,
         }
     }
@@ -84,11 +92,12 @@ impl LatticeSearch {
 
 /// What was seen that is no answer.
 #[derive(Default)]
-struct Unlabeled {
+pub(super) struct Unlabeled {
     candidates: usize,
     lattice: (usize, u32, u32),
     elsewhere: usize,
     undecided: usize,
+    mirrored: usize,
 }
 
 impl TargetDetector {
@@ -110,6 +119,7 @@ impl TargetDetector {
             sheets,
             target,
             pyramid: Pyramid::default(),
+            between: BetweenLevels::default(),
             response: Response::default(),
             candidates: CandidateSearch::default(),
             neighborhood: Neighborhood::new(SeedThresholds {
@@ -117,6 +127,7 @@ impl TargetDetector {
                 ..thresholds.seeds
             }),
             used: Vec::new(),
+            open_squares: 0,
             order: Vec::new(),
             pairs: Vec::new(),
             growth: LatticeGrowth::default(),
@@ -141,11 +152,16 @@ impl TargetDetector {
     /// # Errors
     /// [`NoTarget`] says why there is none.
     pub fn find(&mut self, image: GrayView<'_>) -> Result<TargetDetection, NoTarget> {
-        self.search_all(image).map(|found| found.detection)
+        self.search_all(image, true).map(|found| found.detection)
     }
 
-    /// The target anywhere in `image`; it is left in `grid`.
-    pub(super) fn search_all(&mut self, image: GrayView<'_>) -> Result<FoundTarget, NoTarget> {
+    /// The target anywhere in `image`, at `other_scales` than the pyramid's too; it is left in
+    /// `grid`.
+    pub(super) fn search_all(
+        &mut self,
+        image: GrayView<'_>,
+        other_scales: bool,
+    ) -> Result<FoundTarget, NoTarget> {
         let (width, height) = (image.width(), image.height());
         if width.min(height) < self.thresholds.lattice.least_side_px {
             let target = self.target.to_string();
@@ -167,7 +183,10 @@ impl TargetDetector {
                 return Ok(found);
             }
         }
-        Err(self.reason(&seen))
+        other_scales
+            .then(|| self.find_between(image, coarsest, &mut seen))
+            .flatten()
+            .ok_or_else(|| self.reason(&seen))
     }
 
     /// What `of` makes of the largest lattice of a level, on the first level on which that is
@@ -231,7 +250,7 @@ impl TargetDetector {
     ) -> Option<FoundTarget> {
         let label = self.search_level(image, (level, search), seen)?;
         let detection = self.finish(image, level, label)?;
-        Some(FoundTarget { detection, label, level })
+        Some(FoundTarget { detection, label, level, between: false })
     }
 
     fn search_level(
@@ -249,20 +268,21 @@ impl TargetDetector {
     }
 
     /// Collects the candidates of `view`.
-    fn prepare(&mut self, view: GrayView<'_>, seen: &mut Unlabeled) {
+    pub(super) fn prepare(&mut self, view: GrayView<'_>, seen: &mut Unlabeled) {
         self.response.compute(view, 1);
         let probe = Probe { image: view, thresholds: &self.thresholds };
         self.candidates.search(probe, &self.response, usize::from(u16::MAX));
         let candidates = &self.candidates.found;
         seen.candidates = seen.candidates.max(candidates.len());
         self.neighborhood.fill(candidates, view.width(), view.height());
+        self.open_squares = 0;
         self.used.clear();
         self.used.resize(candidates.len(), false);
         by_reach(view, candidates, &mut self.order);
     }
 
     /// Grows lattices from the candidates of `view`, until one is labeled; it is left in `grid`.
-    fn search(
+    pub(super) fn search(
         &mut self,
         view: GrayView<'_>,
         search: LatticeSearch,
@@ -296,10 +316,24 @@ impl TargetDetector {
                 }
                 BoardLabels::Elsewhere(markers) => seen.elsewhere = seen.elsewhere.max(markers),
                 BoardLabels::Two(first, _) => seen.undecided = seen.undecided.max(first.markers),
-                BoardLabels::None => {}
+                BoardLabels::None => {
+                    seen.mirrored = seen.mirrored.max(self.mirrored_markers(view));
+                }
             }
         }
         None
+    }
+
+    /// How many markers of the target `grid` shows in mirror image.
+    fn mirrored_markers(&mut self, view: GrayView<'_>) -> usize {
+        self.grid.mirror(&mut self.spare);
+        std::mem::swap(&mut self.grid, &mut self.spare);
+        let labels = self.label(view, None);
+        std::mem::swap(&mut self.grid, &mut self.spare);
+        match labels {
+            BoardLabels::One(label) | BoardLabels::Two(label, _) => label.markers,
+            _ => 0,
+        }
     }
 
     /// Grows a lattice from the square at candidate `first` into `grid`; false if there is none.
@@ -309,11 +343,17 @@ impl TargetDetector {
         let reach = match search {
             LatticeSearch::Boards => longer / 2.0,
             LatticeSearch::FewSquares => longer,
+            LatticeSearch::SmallSquares => self.thresholds.lattice.small_square_px,
         };
-        let Some(seed) = self.neighborhood.seed(candidates, first, reach) else { return false };
+        let seed = self.neighborhood.seed(candidates, first, reach).or_else(|| {
+            (search == LatticeSearch::FewSquares)
+                .then(|| (0..4).find_map(|quarter| self.close(view, (first, quarter), reach)))
+                .flatten()
+        });
+        let Some(seed) = seed else { return false };
         let scene = LatticeScene {
             image: view,
-            candidates,
+            candidates: &self.candidates.found,
             neighborhood: &self.neighborhood,
             sheets: &self.sheets,
             thresholds: &self.thresholds.lattice,
@@ -451,6 +491,8 @@ impl TargetDetector {
         let (count, cols, rows) = seen.lattice;
         if seen.undecided > 0 {
             NoTarget::TwoPlaces { markers: seen.undecided, target }
+        } else if seen.mirrored > 0 {
+            NoTarget::Mirrored { markers: seen.mirrored, target }
         } else if seen.elsewhere > 0 {
             NoTarget::OtherBoard { markers: seen.elsewhere, target }
         } else if count >= 2 * self.thresholds.lattice.least_crossings {
@@ -460,13 +502,13 @@ impl TargetDetector {
         }
     }
 
-    /// To the level below, twice as fine.
-    pub(super) fn descend(&mut self) {
+    /// To a copy of the image that has `scale` times as many pixels each way.
+    pub(super) fn scale_grid(&mut self, scale: f32) {
         for index in 0..self.grid.members.len() {
             let (i, j) = self.grid.members[index];
             if let Some(node) = self.grid.get(i, j) {
-                let pixel = node.pixel * 2.0 + Vec2::repeat(0.5);
-                self.grid.set(i, j, crate::detection::grid::Node { pixel, ..node });
+                let pixel = node.pixel * scale + Vec2::repeat(0.5 * (scale - 1.0));
+                self.grid.set(i, j, Node { pixel, ..node });
             }
         }
     }

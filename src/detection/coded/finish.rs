@@ -27,10 +27,8 @@ impl TargetDetector {
         let pyramid = std::mem::take(&mut self.pyramid);
         for finer in (0..level).rev() {
             let view = pyramid.level(image, finer);
-            self.descend();
-            self.forget_candidates(view);
-            self.sharpen(view);
-            self.complete(view, label);
+            self.scale_grid(2.0);
+            self.sharpen_on(view, label);
         }
         self.pyramid = pyramid;
         if !self.drop_misplaced(self.thresholds.marker_corners.most_off) {
@@ -44,6 +42,14 @@ impl TargetDetector {
         Some(self.detection(label)).filter(|detection| {
             detection.corners.len() >= self.thresholds.marker_corners.least_corners
         })
+    }
+
+    /// Moves each crossing to where `view`, a finer level than the last one, shows it, and searches
+    /// it for those that are missing.
+    pub(super) fn sharpen_on(&mut self, view: GrayView<'_>, label: BoardLabel) {
+        self.forget_candidates(view);
+        self.sharpen(view);
+        self.complete(view, label);
     }
 
     /// Moves each crossing to where a finer level shows it.

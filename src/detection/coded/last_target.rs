@@ -16,6 +16,10 @@ pub(super) struct LastTarget {
     pub(super) label: Option<(BoardLabel, bool)>,
     /// On which level of the image it was found.
     pub(super) level: usize,
+    /// Whether it was found at a scale that the pyramid lacks.
+    pub(super) between: bool,
+    /// Images since the last one that showed it.
+    pub(super) missed: u32,
     /// Width of the blur across its edges, in pixels.
     pub(super) blur_px: f32,
     pub(super) offsets: OffsetSearch,
@@ -27,5 +31,7 @@ impl LastTarget {
     pub(super) fn forget(&mut self) {
         self.corners.forget();
         self.label = None;
+        self.between = false;
+        self.missed = self.missed.wrapping_add(1);
     }
 }

@@ -8,12 +8,14 @@
 //! | --- | --- | --- |
 //! | sheet | `sheet` | what a target prints: lines, cells, the codes of its markers |
 //! | order | `order` | which crossings to start from |
+//! | open square | `open_square` | a square of which three corners are candidates |
 //! | lattice | `chart`, `lattice` | from one cell to the next crossing, where the nearest ones put it |
 //! | reading | `reading` | how well each marker cell agrees with each code |
 //! | labels | `labels` | the place in the board that most cells agree on, far more than with any other |
 //! | ends | `ends` | which of two places it is, where only the board's ends distinguish them |
 //! | print | `print`, `curved_chart` | what the markers add to the image near each crossing, for the refinement |
 //! | detector | `detector`, `finish` | levels, completion by the labeled board, refinement |
+//! | other scales | `other_scales` | two thirds of each level and twice the image, where the levels show no target |
 //! | tracking | `tracking`, `offset_search` | the board of the last image, a little farther on |
 //! | recognition | `recognition` | which board it is, where none was asked for |
 //!
@@ -34,7 +36,9 @@ mod last_target;
 mod lattice;
 pub mod no_target;
 mod offset_search;
+mod open_square;
 mod order;
+mod other_scales;
 mod print;
 mod reading;
 pub mod recognition;

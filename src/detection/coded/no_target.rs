@@ -45,6 +45,16 @@ pub enum NoTarget {
         /// What was searched for.
         target: String,
     },
+    /// The target's markers as a mirror shows them.
+    #[error(
+        "{markers} markers of the {target} are seen in mirror image: have the camera or its driver not flip the image"
+    )]
+    Mirrored {
+        /// How many markers say so.
+        markers: usize,
+        /// What was searched for.
+        target: String,
+    },
     /// A board with markers that was recognized, but another.
     #[error("a {seen} is seen, not the {target}: give the target that is seen, or show the other")]
     Recognized {
@@ -73,6 +83,7 @@ impl NoTarget {
             Self::NoLattice { .. } => "no_lattice",
             Self::NoMarkers { .. } => "no_markers",
             Self::OtherBoard { .. } | Self::Recognized { .. } => "other_board",
+            Self::Mirrored { .. } => "mirrored",
             Self::TwoPlaces { .. } => "two_places",
         }
     }

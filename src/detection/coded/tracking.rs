@@ -26,6 +26,10 @@ use crate::imaging::gray::GrayView;
 /// References lie nearest to so many points along each side of what was seen of the board.
 const REFERENCES_A_SIDE: usize = 3;
 
+/// Of images of a stream without a target, one in this many is searched at all scales: it takes
+/// several times as long, and what is held before a camera stays for a second.
+const OTHER_SCALES_EVERY: u32 = 8;
+
 /// A target in a stream of images.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrackedTarget {
@@ -48,9 +52,13 @@ impl TargetDetector {
             self.remember(label, self.last.level, detection.blur_px);
             return Ok(TrackedTarget { detection, followed: true });
         }
-        let searched = self.search_all(image);
+        let other_scales = self.last.between || self.last.missed.is_multiple_of(OTHER_SCALES_EVERY);
+        let searched = self.search_all(image, other_scales);
         match &searched {
-            Ok(found) => self.remember(found.label, found.level, found.detection.blur_px),
+            Ok(found) => {
+                self.remember(found.label, found.level, found.detection.blur_px);
+                (self.last.between, self.last.missed) = (found.between, 0);
+            }
             Err(_) => self.last.forget(),
         }
         searched.map(|found| TrackedTarget { detection: found.detection, followed: false })

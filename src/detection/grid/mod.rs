@@ -175,6 +175,16 @@ impl Grid {
         true
     }
 
+    /// Makes `into` what a mirror shows of it: i and j exchanged.
+    pub(in crate::detection) fn mirror(&self, into: &mut Self) {
+        into.clear(self.radius, self.bright);
+        for &(i, j) in &self.members {
+            if let Some(node) = self.get(i, j) {
+                into.set(j, i, node);
+            }
+        }
+    }
+
     /// Forgets the searches without success: another level may show more.
     pub(in crate::detection) fn forget_attempts(&mut self) {
         for &slot in &self.touched {

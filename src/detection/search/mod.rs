@@ -3,6 +3,7 @@
 //! | stage | file | what it gives |
 //! | --- | --- | --- |
 //! | levels | `pyramid` | the image at a half, a quarter, … of its size |
+//! | other levels | `between` | the image at two thirds, a third, … and twice its size |
 //! | response | `response` | how much each pixel resembles a corner |
 //! | candidates | `candidates` | the strongest, each measured |
 //! | seeds | `seeds` | four that close a square |
@@ -12,6 +13,7 @@
 //!
 //! [`find`] goes from the coarsest level to the finest, until a whole board is verified.
 
+pub(in crate::detection) mod between;
 pub(in crate::detection) mod candidates;
 mod descent;
 mod growth;

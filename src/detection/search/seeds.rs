@@ -19,6 +19,18 @@ pub(in crate::detection) struct Seed {
     pub bright: bool,
 }
 
+/// Three corners of one square, at (0, 0), (1, 0) and (0, 1) of the grid's axes, and where the
+/// edges that leave the last two meet.
+#[derive(Debug, Clone, Copy)]
+pub(in crate::detection) struct OpenSeed {
+    /// Indices of the candidates.
+    pub corners: [usize; 3],
+    /// The fourth corner, by the edges of the second and the third.
+    pub fourth: Vec2,
+    /// Whether the square itself is bright.
+    pub bright: bool,
+}
+
 /// Candidates sorted into bins, to find the nearest in a direction.
 #[derive(Debug)]
 pub(in crate::detection) struct Neighborhood {
@@ -115,6 +127,32 @@ impl Neighborhood {
             }
         }
         None
+    }
+
+    /// The same where the fourth corner is no candidate, in one of the four quarters about `first`.
+    pub(in crate::detection) fn open_seed(
+        &mut self,
+        candidates: &[Candidate],
+        (first, quarter): (usize, usize),
+        reach: f32,
+    ) -> Option<OpenSeed> {
+        let links = self.links(candidates, first, reach);
+        let (a, b) = (links[quarter]?, links[(quarter + 1) % 4]?);
+        let along_i = direction(&candidates[first], quarter);
+        let along_j = direction(&candidates[first], (quarter + 1) % 4);
+        let from_a = direction(&candidates[a], nearest_direction(&candidates[a], along_j));
+        let from_b = direction(&candidates[b], nearest_direction(&candidates[b], along_i));
+        let between = candidates[b].pixel - candidates[a].pixel;
+        let cross = |p: Vec2, q: Vec2| p.x * q.y - p.y * q.x;
+        let sine = cross(from_a, from_b);
+        let distance = cross(between, from_b) / sine;
+        (sine.abs() > self.thresholds.edge_angle && distance > self.thresholds.least_step_px).then(
+            || OpenSeed {
+                corners: [first, a, b],
+                fourth: candidates[a].pixel + from_a * distance,
+                bright: quarter % 2 == 0,
+            },
+        )
     }
 
     /// The nearest neighbors of `from` along its edges: +first, +second, −first, −second.
@@ -281,6 +319,20 @@ mod tests {
             assert!(u.x * v.y - u.y * v.x > 0.0, "axes run from +x to +y");
             assert!(u.norm() < 22.0 && v.norm() < 22.0);
         }
+    }
+
+    #[test]
+    fn the_edges_of_two_corners_meet_in_the_fourth() {
+        let mut candidates = checker(2, 2);
+        let missing = candidates.pop().expect("four").pixel;
+        let mut neighborhood = Neighborhood::default();
+        neighborhood.fill(&candidates, 120, 90);
+        assert!(neighborhood.seed(&candidates, 0, 40.0).is_none());
+        let open: Vec<OpenSeed> = (0..4)
+            .filter_map(|quarter| neighborhood.open_seed(&candidates, (0, quarter), 40.0))
+            .collect();
+        assert_eq!(open.len(), 1);
+        assert!((open[0].fourth - missing).norm() < 1e-4, "{:?}", open[0]);
     }
 
     #[test]

@@ -21,6 +21,8 @@ thresholds! {
         off_edge: f32 = 0.16, "tangent", ThresholdOrigin::Swept;
         /// Images with a longer side are searched at half their size first.
         large_side_px: usize = 1500, "px", ThresholdOrigin::Swept;
+        /// Largest square that is searched for in twice the image.
+        small_square_px: f32 = 128.0, "px of twice the image", ThresholdOrigin::Swept;
         /// Least shorter side of an image with a target.
         least_side_px: usize = 24, "px", ThresholdOrigin::Derived("six crossings of 3.5 px each way");
         /// Least correlation with a crossing.
