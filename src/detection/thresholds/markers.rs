@@ -22,7 +22,7 @@ thresholds! {
         /// Images with a longer side are searched at half their size first.
         large_side_px: usize = 1500, "px", ThresholdOrigin::Swept;
         /// Largest square that is searched for in twice the image.
-        small_square_px: f32 = 128.0, "px of twice the image", ThresholdOrigin::Swept;
+        small_square_px: f32 = 128.0, "px of twice the image", ThresholdOrigin::Derived("gaps of larger squares are 8 px wide and show in the image");
         /// Least shorter side of an image with a target.
         least_side_px: usize = 24, "px", ThresholdOrigin::Derived("six crossings of 3.5 px each way");
         /// Least correlation with a crossing.
