@@ -19,7 +19,8 @@
 //! | how uncertain projections are then | [`projection_goal`] |
 //! | how exact the corners of a future view will be | [`corner_noise`] |
 //! | which views a detector could see | [`candidate_views`] |
-//! | which of them to ask for, and how many more it takes | [`next_view`] |
+//! | which of them to ask for, and how many more it takes, whatever is to be taught | `view_search` |
+//! | which view to ask for so that a lens is known | [`next_view`] |
 //! | how to get there, in words | [`movement`] |
 //! | what a session's views have taught so far, frame by frame | [`teaching`] |
 //! | what shared views say of two cameras and their relative pose | [`pair_information`] |
@@ -52,6 +53,7 @@ pub mod projection_goal;
 pub mod teaching;
 pub mod transfer_goal;
 pub mod view_information;
+mod view_search;
 
 #[cfg(test)]
 mod information_tests;

@@ -14,9 +14,10 @@ use crate::calibration::information::candidate_views::{
 };
 use crate::calibration::information::corner_noise::{CornerNoise, NoiseSample, side_px};
 use crate::calibration::information::lens_information::LensInformation;
-use crate::calibration::information::next_view::{SuggestedView, effort, suggest_view};
+use crate::calibration::information::next_view::{SuggestedView, suggest_view};
 use crate::calibration::information::projection_goal::{GoalFigure, ProjectionGoal};
 use crate::calibration::information::view_information::{ViewNormal, WeightedCorner};
+use crate::calibration::information::view_search::effort;
 use crate::calibration::placement::NOMINAL_FOCAL;
 use crate::estimation::board_pose::board_poses;
 use crate::estimation::camera::{CameraEstimate, CameraOptions, CameraStart, calibrate_camera};
