@@ -83,6 +83,7 @@ fn in_setting(seed: u64, lens: Option<Lens>, then: fn(&CandidateSpace<'_>)) {
         board: &board,
         noise: &noise,
         base: nalgebra::UnitQuaternion::identity(),
+        avoided: &[],
     };
     then(&space);
 }

@@ -52,6 +52,8 @@ struct Shown {
     solves: bool,
     /// How long each frame took without its estimate.
     frames_ms: Vec<f64>,
+    /// How many views it said it still takes, before each one that was asked for.
+    stated: Vec<Option<[u32; 2]>>,
 }
 
 impl Shown {
@@ -66,8 +68,8 @@ impl Shown {
         let record = SessionRecord::begin("01", "front", request, 1_000_000_000);
         let session = Session::begin(record, &[], &AdmissionOptions::default());
         let rng = SeededCamera::rng(seed);
-        let (kept, frames_ms) = (Vec::new(), Vec::new());
-        Self { rig, session, rng, depth_counts, kept, seconds: 0, solves: false, frames_ms }
+        let (kept, frames_ms, stated) = (Vec::new(), Vec::new(), Vec::new());
+        Self { rig, session, rng, depth_counts, kept, seconds: 0, solves: false, frames_ms, stated }
     }
 
     /// Shows a board, measured by depth or not; whether it was kept.
@@ -181,6 +183,7 @@ impl Shown {
         let mut more = 0;
         while !self.solves && more < 80 {
             let pose = self.asked();
+            self.stated.push(self.session.record().guidance.views_to_go);
             self.show(&pose, true);
             more += 1;
         }
@@ -303,4 +306,45 @@ fn views_are_asked_for_until_both_are_known() {
         );
         assert!(sums[1].3 && sums[1].2 < 3.0 * GOAL_PX, "{sums:?}");
     }
+}
+
+/// A session that is shown where it asks for boards from its first view on; or that is hardly
+/// taught before.
+fn begun(seed: u64, (depth_counts, is_hardly_taught): (bool, bool)) -> Shown {
+    if is_hardly_taught {
+        return hardly_taught(seed, depth_counts);
+    }
+    let mut shown = Shown::new(seed, depth_counts);
+    let first = shown.rig.poses(1, &mut SeededCamera::rng(seed))[0];
+    shown.show(&first, true);
+    shown
+}
+
+#[test]
+fn the_number_of_views_that_are_still_needed_holds() {
+    let (mut stated, mut held, mut within_one) = (0, 0, 0);
+    for seed in seeds(73) {
+        for how in [(false, false), (true, false), (true, true)] {
+            let mut shown = begun(seed, how);
+            let asked = shown.follow();
+            println!(
+                "seed {seed} {how:?}: {asked} asked for, said before each: {:?}",
+                shown.stated
+            );
+            assert!(shown.solves && asked < 30, "seed {seed} {how:?}: {asked} asked for");
+            let last = shown.stated.last().copied().flatten();
+            assert!(last.is_some_and(|[few, many]| few <= 1 && many <= 3), "{last:?}");
+            for (so_far, said) in shown.stated.iter().enumerate() {
+                let Some([few, many]) = *said else { continue };
+                let needed = (asked - so_far) as u32;
+                let is_in = |by: u32| few <= needed + by && needed <= many + by;
+                stated += 1;
+                held += u32::from(is_in(0));
+                within_one += u32::from(is_in(1));
+                assert!(many <= 40, "seed {seed} {how:?}: {:?}", shown.stated);
+            }
+        }
+    }
+    println!("{stated} statements: {held} hold, {within_one} within one view");
+    assert!(2 * held >= stated && 5 * within_one >= 4 * stated, "{held} of {stated}");
 }

@@ -193,6 +193,17 @@ pub struct CandidateSpace<'a> {
     pub noise: &'a CornerNoise,
     /// How the board is rotated before a camera that it faces, as [`base_rotation`] has it.
     pub base: UnitQuaternion<f64>,
+    /// Where it is not asked for.
+    pub avoided: &'a [AvoidedPlace],
+}
+
+/// A place about which a board would not be kept.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AvoidedPlace {
+    /// Where.
+    pub camera_from_board: Pose,
+    /// Within this effort.
+    pub effort: f64,
 }
 
 /// How a board is rotated before the camera, tilt and lesser rotations left out: by a multiple of a
@@ -212,10 +223,28 @@ pub fn base_rotation(camera_from_board: &Pose) -> UnitQuaternion<f64> {
     }
 }
 
+/// A hand carries a board by half its distance, or rotates it by a radian, in the same time.
+const EFFORT_PER_DISTANCE: f64 = 2.0;
+
+/// How far it is from one pose to another for a board with this middle, in rotations by a radian.
+pub fn effort(here_from_board: &Pose, there_from_board: &Pose, middle: Point3<f64>) -> f64 {
+    let poses = [here_from_board, there_from_board];
+    let [here, there] = poses.map(|pose| (*pose * middle).coords);
+    let translation = (there - here).norm() / here.norm().max(f64::MIN_POSITIVE);
+    EFFORT_PER_DISTANCE * translation
+        + here_from_board.rotation().angle_to(&there_from_board.rotation())
+}
+
 impl CandidateSpace<'_> {
-    /// The view of a board held so; `None` where the detector would not see all of it.
+    /// The view of a board held so; `None` where the detector would not see all of it, and in
+    /// avoided places.
     pub fn view(&self, holding: &Holding) -> Option<CandidateView> {
-        self.seen(holding, self.place(holding)?)
+        let place = self.place(holding)?;
+        let is_avoided = |avoided: &AvoidedPlace| {
+            effort(&avoided.camera_from_board, &place, self.board.middle()) < avoided.effort
+        };
+        let may_be_asked_for = !self.avoided.iter().any(is_avoided);
+        may_be_asked_for.then(|| self.seen(holding, place)).flatten()
     }
 
     /// The view of a board at `camera_from_board`, which another camera sees held as `holding`;

@@ -7,6 +7,7 @@
 
 use nalgebra::{DMatrix, Point3};
 
+use crate::calibration::information::corner_noise::side_px;
 use crate::calibration::information::depth_fit::{FittedDepth, few, fit_depth};
 use crate::calibration::information::depth_goal::DepthGoal;
 use crate::calibration::information::depth_information::{DepthInformation, DepthNormal};
@@ -39,7 +40,6 @@ pub struct DepthTeaching {
     scatter: [f64; 2],
     pub(super) noise: DepthTileNoise,
     now: Option<DepthNow>,
-    refused_camera_from_board: Vec<Pose>,
 }
 
 /// What is known by now.
@@ -86,6 +86,8 @@ const BEYOND_SEEN: f64 = 4.0;
 const MARGIN_SQUARES: f64 = 0.8;
 /// … and only so far before them as long as nobody knows where that is.
 const UNKNOWN_MARGIN_SQUARES: f64 = -1.0;
+/// It is within so many standard deviations.
+const CERTAIN: f64 = 2.0;
 
 impl DepthTeaching {
     /// Nothing taught yet of a depth camera beside the one that `color` is of.
@@ -106,7 +108,6 @@ impl DepthTeaching {
             scatter: [1.0; 2],
             noise: DepthTileNoise::default(),
             now: None,
-            refused_camera_from_board: Vec::new(),
         }
     }
 
@@ -120,16 +121,6 @@ impl DepthTeaching {
         self.size
     }
 
-    /// What is shown there is not worth keeping: nothing like it is asked for until a view is kept.
-    pub fn refuse(&mut self, camera_from_board: Pose) {
-        self.refused_camera_from_board.push(camera_from_board);
-    }
-
-    /// Where nothing is asked for.
-    pub(super) fn refused(&self) -> &[Pose] {
-        &self.refused_camera_from_board
-    }
-
     /// How many views have depth.
     pub fn measured(&self) -> usize {
         self.views.len()
@@ -137,32 +128,69 @@ impl DepthTeaching {
 
     /// The board's surface in the depth image that was taken with `taught`; `None` where it was
     /// not measured, which is remembered of its distance.
-    pub fn measure(&mut self, image: &DepthImage, taught: &TaughtView) -> Option<MeasuredView> {
+    pub fn measure(
+        &mut self,
+        image: &DepthImage,
+        (color, taught): (&Teaching, &TaughtView),
+    ) -> Option<MeasuredView> {
         if image.size() != self.size {
             return None;
         }
-        let color_from_board = &taught.camera_from_board;
-        let place = (&self.depth.lens, &self.depth.depth_from_color);
-        let is_placed = self.is_stated || self.estimated_among > 0;
-        let margin = if is_placed { MARGIN_SQUARES } else { UNKNOWN_MARGIN_SQUARES };
-        let outline = board_outline(&self.target, place, color_from_board, margin);
+        let known_margin = self.margin_squares(color, taught);
+        let (lens, depth_from_color) = match known_margin {
+            Some(_) => (self.depth.lens, self.depth.depth_from_color),
+            None => self.guess(color),
+        };
+        let margin = known_margin.unwrap_or(UNKNOWN_MARGIN_SQUARES);
+        let place = (&lens, &depth_from_color);
+        let outline = board_outline(&self.target, place, &taught.camera_from_board, margin);
         let options = PlaneOptions { invalid: self.invalid, ..PlaneOptions::default() };
-        let meaning = (self.depth.reading, &self.depth.lens);
+        let meaning = (self.depth.reading, &lens);
         match find_board_plane(image, meaning, &outline, &options) {
             Ok(tiles) => Some(MeasuredView::new(taught.number, tiles)),
             Err(NoPlane::Holes { .. } | NoPlane::NotFlat { .. }) => {
                 let middle = Point3::from(taught.normal().middle_in_camera);
-                self.noise.miss((self.depth.depth_from_color * middle).z);
+                self.noise.miss((depth_from_color * middle).z);
                 None
             }
             Err(_) => None,
         }
     }
 
+    /// Whether it is known better than guessed where in the depth image a board is.
+    pub fn is_placed(&self, color: &Teaching) -> bool {
+        let newest = color.views().last();
+        newest.is_some_and(|taught| self.margin_squares(color, taught).is_some())
+    }
+
+    /// How far past its outer corners the board's surface is searched for, by how well it is known
+    /// where that is; `None` where the fit knows no better than the guess that it began with. A fit
+    /// of few views may be off by more than the board is wide: searched for there, the board would
+    /// never be found again.
+    fn margin_squares(&self, color: &Teaching, taught: &TaughtView) -> Option<f64> {
+        if self.is_stated {
+            return Some(MARGIN_SQUARES);
+        }
+        let middle = color.board().middle();
+        let side_m = color.board().side_m;
+        let side_px = side_px(color.lens(), &taught.camera_from_board, &middle, side_m)?;
+        let unknown_squares = CERTAIN * self.uncertainty_px()? / side_px;
+        let margin = MARGIN_SQUARES - unknown_squares;
+        (margin > UNKNOWN_MARGIN_SQUARES).then_some(margin)
+    }
+
+    /// The depth camera that a fit begins with: as stated, or one that sees what color sees.
+    fn guess(&self, color: &Teaching) -> (Lens, Pose) {
+        if self.is_stated {
+            return (self.guess.lens, self.guess.depth_from_color);
+        }
+        let lens = same_view(color.lens(), color.size(), self.size);
+        (lens, self.guess.depth_from_color)
+    }
+
     /// Takes a view in; `color` has it already.
     pub fn add(&mut self, view: MeasuredView, color: &Teaching) {
         self.views.push(view);
-        self.refused_camera_from_board.clear();
         self.sum_up(color);
     }
 
@@ -294,9 +322,7 @@ impl DepthTeaching {
         });
         let mut start = self.guess.clone();
         start.correction.seen_m = [near / BEYOND_SEEN, far * BEYOND_SEEN];
-        if !self.is_stated {
-            start.lens = same_view(color.lens(), color.size(), self.size);
-        }
+        start.lens = self.guess(color).0;
         let prior = DepthInformation::prior(color.known(), &start).depth.by_depth;
         let views: Vec<_> = self.with_color(color).collect();
         let each: Vec<_> =

@@ -45,6 +45,7 @@ fn poses(lens: &Lens, indices: impl Iterator<Item = usize>) -> Vec<Pose> {
         board: &board,
         noise: &noise,
         base: UnitQuaternion::identity(),
+        avoided: &[],
     };
     let view = |index| space.view(&Holding::of_sequence(index));
     indices.filter_map(view).map(|view| view.camera_from_board).collect()
@@ -191,7 +192,14 @@ fn of_equal_views_the_uncertainty_falls_with_the_root_of_their_number() {
 
 /// Where the board may be held before a camera with this lens.
 fn space<'a>(lens: &'a Lens, board: &'a BoardPoints, noise: &'a CornerNoise) -> CandidateSpace<'a> {
-    CandidateSpace { lens, size: SIZE, board, noise, base: UnitQuaternion::identity() }
+    CandidateSpace {
+        lens,
+        size: SIZE,
+        board,
+        noise,
+        base: UnitQuaternion::identity(),
+        avoided: &[],
+    }
 }
 
 #[test]

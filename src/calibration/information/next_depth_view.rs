@@ -33,8 +33,6 @@ pub struct NextDepthView {
 
 const SIZE: SearchSize =
     SearchSize { sequence: 80, in_corners: 12, refined: [(10, 0.12), (10, 0.05)] };
-/// What is so near to a refused view is refused with it.
-const NEAR_REFUSED: f64 = 0.3;
 
 /// What a depth camera beside color is to be known by.
 struct DepthLesson<'a> {
@@ -62,10 +60,6 @@ impl Lesson for DepthLesson<'_> {
     fn view(&self, _image: usize, holding: &Holding) -> Option<Candidate<BeforeColor>> {
         let view = self.space.view(holding)?;
         let (camera_from_board, likely) = (view.camera_from_board, view.likely);
-        let is_refused = |refused| self.color.effort(refused, &camera_from_board) < NEAR_REFUSED;
-        if self.depth.refused().iter().any(is_refused) {
-            return None;
-        }
         let normal = ViewNormal::of(self.space.lens, &camera_from_board, &view.corners);
         let view = BeforeColor { camera_from_board, normal };
         Some(Candidate { view, camera_from_board, likely })
@@ -106,7 +100,8 @@ pub fn suggest_depth_view(
 ) -> Option<NextDepthView> {
     let now = depth.now()?;
     let noise = color.corner_noise();
-    let space = color.space(&noise);
+    let avoided = color.avoided();
+    let space = color.space(&noise, &avoided);
     let lesson = DepthLesson { depth, now, color, space: &space };
     let from = color.views().last().map(|view| &view.camera_from_board);
     let found = find_view(&lesson, &SIZE, (from, goal_px))?;

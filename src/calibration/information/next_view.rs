@@ -31,7 +31,7 @@ pub struct SuggestedView {
     /// What it would add to what is known of the lens.
     pub information: DMatrix<f64>,
     /// How many more views reach the goal: as few as this if each is as suggested, as many as that
-    /// if each teaches half as much. `None` without a goal.
+    /// if each teaches a quarter as much. `None` without a goal.
     pub views_to_go: Option<[u32; 2]>,
 }
 

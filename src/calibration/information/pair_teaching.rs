@@ -95,7 +95,7 @@ impl PairTeaching {
     /// camera was, with the figure to reach; `cameras` are those that this was made of.
     pub fn suggest(&self, cameras: [&Teaching; 2], goal_px: Option<f64>) -> Option<SharedView> {
         let noises = cameras.map(Teaching::corner_noise);
-        let spaces = [cameras[0].space(&noises[0]), cameras[1].space(&noises[1])];
+        let spaces = [cameras[0].space(&noises[0], &[]), cameras[1].space(&noises[1], &[])];
         let from = cameras[0].views().last().map(|view| &view.camera_from_board);
         suggest_shared_view(&self.known, &self.goal, [&spaces[0], &spaces[1]], (from, goal_px))
     }

@@ -35,7 +35,14 @@ fn space<'a>(
     lens: &'a Lens,
     (board, noise): (&'a BoardPoints, &'a CornerNoise),
 ) -> CandidateSpace<'a> {
-    CandidateSpace { lens, size: SIZE, board, noise, base: UnitQuaternion::identity() }
+    CandidateSpace {
+        lens,
+        size: SIZE,
+        board,
+        noise,
+        base: UnitQuaternion::identity(),
+        avoided: &[],
+    }
 }
 
 /// Poses of the board before the first camera that both see whole.

@@ -10,14 +10,13 @@ use std::f64::consts::PI;
 use nalgebra::{DMatrix, UnitQuaternion, Vector3};
 
 use crate::calibration::information::candidate_views::{
-    BoardPoints, CandidateSpace, base_rotation,
+    AvoidedPlace, BoardPoints, CandidateSpace, base_rotation, effort,
 };
 use crate::calibration::information::corner_noise::{CornerNoise, NoiseSample, side_px};
 use crate::calibration::information::lens_information::LensInformation;
 use crate::calibration::information::next_view::{SuggestedView, suggest_view};
 use crate::calibration::information::projection_goal::{GoalFigure, ProjectionGoal};
 use crate::calibration::information::view_information::{ViewNormal, WeightedCorner};
-use crate::calibration::information::view_search::effort;
 use crate::calibration::placement::NOMINAL_FOCAL;
 use crate::estimation::board_pose::board_poses;
 use crate::estimation::camera::{CameraEstimate, CameraOptions, CameraStart, calibrate_camera};
@@ -37,6 +36,8 @@ pub struct Teaching {
     /// Whether the board frame's z axis points at a camera that sees the front.
     towards_camera: bool,
     views: Vec<TaughtView>,
+    /// What was shown there was not worth keeping.
+    refused_camera_from_board: Vec<Pose>,
     /// Of the newest estimate; `None` while the lens is nominal.
     start: Option<CameraStart>,
     estimated_among: usize,
@@ -68,6 +69,11 @@ struct SessionNoise {
 
 /// No corner is seen better than this, in units of its own standard deviation.
 const LEAST_NOISE: f64 = 0.01;
+/// A board within this effort of a kept view may be the same image again: a tenth of its distance,
+/// or twelve degrees, which admission refuses.
+const NEAR_KEPT: f64 = 0.2;
+/// What is so near to a refused view is refused with it.
+const NEAR_REFUSED: f64 = 0.3;
 /// Fewer views leave the lens open.
 const LEAST_VIEWS: usize = 3;
 /// The lens is estimated anew when views have grown by this factor.
@@ -91,6 +97,7 @@ impl Teaching {
             board: BoardPoints::of_target(target),
             towards_camera: matches!(target, Target::AprilGrid(_)),
             views: Vec::new(),
+            refused_camera_from_board: Vec::new(),
             start: None,
             estimated_among: 0,
             noise: SessionNoise { factor: 1.0, floor_px: 0.0 },
@@ -140,7 +147,7 @@ impl Teaching {
         let noise = self.corner_noise();
         Some(SuggestedView {
             camera_from_board,
-            outline_px: self.space(&noise).outline_px(&camera_from_board)?,
+            outline_px: self.space(&noise, &[]).outline_px(&camera_from_board)?,
             uncertainty_px: self.goal.figure_px(now)?,
             expected_uncertainty_px: self.goal.figure_px(&after)?,
             drop: self.goal.drop(now, &after),
@@ -190,6 +197,7 @@ impl Teaching {
     /// Takes a view in.
     pub fn add(&mut self, view: TaughtView) {
         self.views.push(view);
+        self.refused_camera_from_board.clear();
         let count = self.views.len();
         if count >= LEAST_VIEWS && count as f64 >= GROWTH * self.estimated_among as f64 {
             self.estimated_among = count;
@@ -232,7 +240,21 @@ impl Teaching {
     pub fn suggest(&self, goal_px: Option<f64>) -> Option<SuggestedView> {
         let noise = self.corner_noise();
         let from = self.views.last().map(|view| &view.camera_from_board);
-        suggest_view(&self.known, &self.goal, &self.space(&noise), (from, goal_px))
+        let avoided = self.avoided();
+        suggest_view(&self.known, &self.goal, &self.space(&noise, &avoided), (from, goal_px))
+    }
+
+    /// What is shown there is not worth keeping: nothing like it is asked for until a view is kept.
+    pub fn refuse(&mut self, camera_from_board: Pose) {
+        self.refused_camera_from_board.push(camera_from_board);
+    }
+
+    /// Where a view would be the same image as a kept one, or was refused.
+    pub fn avoided(&self) -> Vec<AvoidedPlace> {
+        let kept = self.views.iter().map(|view| (view.camera_from_board, NEAR_KEPT));
+        let refused = self.refused_camera_from_board.iter().map(|pose| (*pose, NEAR_REFUSED));
+        let place = |(camera_from_board, effort)| AvoidedPlace { camera_from_board, effort };
+        kept.chain(refused).map(place).collect()
     }
 
     /// How exact corners are, as far as the views show.
@@ -247,14 +269,19 @@ impl Teaching {
         effort(here_from_board, there_from_board, self.board.middle())
     }
 
-    /// Where the board can be asked for.
-    pub fn space<'a>(&'a self, noise: &'a CornerNoise) -> CandidateSpace<'a> {
+    /// Where the board can be asked for, `avoided` places aside.
+    pub fn space<'a>(
+        &'a self,
+        noise: &'a CornerNoise,
+        avoided: &'a [AvoidedPlace],
+    ) -> CandidateSpace<'a> {
         let unseen = if self.towards_camera { Vector3::x() * PI } else { Vector3::zeros() };
         let base = self.views.last().map_or_else(
             || UnitQuaternion::from_scaled_axis(unseen),
             |view| base_rotation(&view.camera_from_board),
         );
-        CandidateSpace { lens: self.lens(), size: self.size, board: &self.board, noise, base }
+        let (lens, size, board) = (self.lens(), self.size, &self.board);
+        CandidateSpace { lens, size, board, noise, base, avoided }
     }
 
     fn placed(

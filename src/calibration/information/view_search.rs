@@ -7,7 +7,7 @@
 
 use nalgebra::Point3;
 
-use crate::calibration::information::candidate_views::Holding;
+use crate::calibration::information::candidate_views::{Holding, effort};
 use crate::geometry::pose::Pose;
 
 /// What views are to teach.
@@ -66,7 +66,7 @@ pub(super) struct FoundView<L: Lesson> {
     pub(super) view: L::View,
     pub(super) information: L::Information,
     /// How many more views reach the goal: as few as this if each is as suggested, as many as that
-    /// if each teaches half as much. `None` without a goal.
+    /// if each teaches a quarter as much. `None` without a goal.
     pub(super) views_to_go: Option<[u32; 2]>,
 }
 
@@ -83,15 +83,14 @@ pub(super) struct SearchSize {
 
 /// Candidates whose drop of the goal is at least this part of the best one's are as good.
 const AS_GOOD: f64 = 0.9;
-/// A hand carries a board by half its distance, or rotates it by a radian, in the same time.
-const EFFORT_PER_DISTANCE: f64 = 2.0;
 /// Of so many candidates the coming views are taken in counting them: out of the better half,
 /// since views that are much like the best leave open what it leaves open.
 const SHORTLIST: usize = 12;
 /// So many views are gone through one by one; beyond, information grows by as much with each.
 const COUNTED: u32 = 12;
-/// What a view teaches that is not held as suggested, relative to one that is.
-const HALF_AS_MUCH: f64 = 0.5;
+/// How much views teach, relative to what is expected of them: as much, or a quarter where they are
+/// held otherwise, or where corners and planes scatter twice as far as few views let expect.
+const PARTS: [f64; 2] = [1.0, 0.25];
 
 struct Scored<L: Lesson> {
     candidate: Candidate<L::View>,
@@ -143,20 +142,10 @@ pub(super) fn find_view<L: Lesson>(
     let stride = (scored.len() / 2 / SHORTLIST).max(1);
     let shortlist: Vec<&L::Information> =
         scored.iter().step_by(stride).take(SHORTLIST).map(|scored| &scored.information).collect();
-    let views_to_go = goal_px.map(|goal_px| {
-        [1.0, HALF_AS_MUCH].map(|part| views_to_go(lesson, (&shortlist, part), goal_px))
-    });
+    let views_to_go =
+        goal_px.map(|goal_px| PARTS.map(|part| views_to_go(lesson, (&shortlist, part), goal_px)));
     let Scored { candidate, information, .. } = scored.swap_remove(chosen);
     Some(FoundView { view: candidate.view, information, views_to_go })
-}
-
-/// How far it is from one pose to another for a board with this middle, in rotations by a radian.
-pub fn effort(here_from_board: &Pose, there_from_board: &Pose, middle: Point3<f64>) -> f64 {
-    let poses = [here_from_board, there_from_board];
-    let [here, there] = poses.map(|pose| (*pose * middle).coords);
-    let translation = (there - here).norm() / here.norm().max(f64::MIN_POSITIVE);
-    EFFORT_PER_DISTANCE * translation
-        + here_from_board.rotation().angle_to(&there_from_board.rotation())
 }
 
 /// How many views out of `shortlist`, each with this part of its information and each the best at

@@ -76,7 +76,7 @@ impl Advice {
             _ => {}
         }
         let noise = teaching.corner_noise();
-        let (space, there) = (teaching.space(&noise), &suggested.camera_from_board);
+        let (space, there) = (teaching.space(&noise, &[]), &suggested.camera_from_board);
         let words = match now.camera_from_board {
             Some(here) => next_movement(&space, here, there)
                 .unwrap_or_else(|| "hold the board still there".to_owned()),

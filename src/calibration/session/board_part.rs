@@ -27,6 +27,9 @@ use crate::geometry::target::Target;
 /// An uncertainty estimated from fewer views is not worth stopping for, unless the request says so.
 const LEAST_VIEWS_FOR_GOAL: u32 = 8;
 
+/// A board is where it is asked for within this effort: a tenth of its distance, or twelve degrees.
+const ARRIVED: f64 = 0.2;
+
 /// What a view teaches: of color, unless no pose explains it, and of depth.
 type Taught = (Option<TaughtView>, SeenDepth);
 
@@ -36,6 +39,8 @@ pub struct BoardPart {
     target: Target,
     lens: LensChoice,
     goal_px: Option<f64>,
+    /// So many views it takes, whatever they leave open.
+    least_views: u32,
     summary: SessionMember,
     views: Vec<View>,
     placements: Vec<Placement>,
@@ -59,6 +64,10 @@ pub struct BoardPart {
     time: FrameTime,
     obstacle: Obstacle,
     going_on: Option<GoingOn>,
+    /// What its views let expect of the uncertainty that the newest estimate finds.
+    expected_px: Option<f64>,
+    /// How many times greater that is, at least once.
+    harder: f64,
     /// Whether the newest estimate's halves agree.
     model_holds: bool,
     /// A view was exchanged while an estimate was being made: it is not of the present views.
@@ -86,6 +95,8 @@ impl BoardPart {
             target,
             lens: request.lens,
             goal_px: request.finish.and_then(|finish| finish.uncertainty_px),
+            least_views: (request.finish.and_then(|finish| finish.min_views))
+                .unwrap_or(LEAST_VIEWS_FOR_GOAL),
             summary,
             views: Vec::new(),
             placements: Vec::new(),
@@ -102,6 +113,8 @@ impl BoardPart {
             time: FrameTime::default(),
             obstacle: Obstacle::default(),
             going_on: None,
+            expected_px: None,
+            harder: 1.0,
             model_holds: true,
             exchanged: false,
             estimating: false,
@@ -174,9 +187,7 @@ impl BoardPart {
     /// How many times greater than its views let expect the solve finds the uncertainty, at least
     /// once: it may know of more that widens it, as the board's shape or the shutter.
     pub(super) fn harder(&self) -> f64 {
-        let expected_px = self.teaching.as_ref().and_then(Teaching::uncertainty_px);
-        let found = self.summary.estimate.as_ref().zip(expected_px);
-        found.map_or(1.0, |(estimate, px)| (estimate.uncertainty_px.median / px).max(1.0))
+        self.harder
     }
 
     /// Whether it has the views that a lens needs.
@@ -200,11 +211,8 @@ impl BoardPart {
         self.newest_ns = seen.frame.time_ns();
         let admission = self.admit(seen, taught);
         let is_known = admission.as_ref().is_err_and(Rejection::is_known_already);
-        if let (true, Some(color), Some(shown)) = (is_known, &self.teaching, &camera_from_board)
-            && !self.asked_to_share
-            && self.depth.refuses(color, shown)
-        {
-            self.request();
+        if let (true, Some(shown)) = (is_known, &camera_from_board) {
+            self.refuse(&seen.frame, shown);
         }
         self.obstacle.note(&admission);
         if let Err(rejection) = &admission {
@@ -212,6 +220,19 @@ impl BoardPart {
         }
         self.advise(seen.frame.time_ns(), camera_from_board.as_ref());
         admission
+    }
+
+    /// What was shown is not worth keeping: if that is about where a view is asked for, and the
+    /// board rests there, it would not be again, and another one is asked for.
+    fn refuse(&mut self, frame: &FrameFacts, shown: &Pose) {
+        let Some(teaching) = self.teaching.as_ref().filter(|_| !self.asked_to_share) else {
+            return;
+        };
+        let asked = self.requested.as_ref().map(|asked| asked.camera_from_board);
+        let asked = asked.filter(|asked| teaching.effort(shown, asked) < ARRIVED);
+        let Some(asked) = asked.filter(|_| self.awaited(frame, shown).is_none()) else { return };
+        self.teaching.iter_mut().for_each(|teaching| teaching.refuse(asked));
+        self.suggest();
     }
 
     /// Whether it would keep `frame` for what was detected in it, if it were observed now.
@@ -269,8 +290,8 @@ impl BoardPart {
         match (finish.uncertainty_px, finish.min_views) {
             (None, None) => false,
             (None, Some(least)) => kept >= least.max(LEAST_VIEWS as u32),
-            (Some(goal_px), least) => self.summary.estimate.as_ref().is_some_and(|estimate| {
-                estimate.views >= least.unwrap_or(LEAST_VIEWS_FOR_GOAL)
+            (Some(goal_px), _) => self.summary.estimate.as_ref().is_some_and(|estimate| {
+                estimate.views >= self.least_views
                     && estimate.uncertainty_px.median <= goal_px
                     && self.model_holds
                     && self.depth.reaches(goal_px / self.harder())
@@ -285,7 +306,11 @@ impl BoardPart {
             return false;
         }
         self.estimate_outdated = self.estimating;
-        !std::mem::replace(&mut self.estimating, true)
+        let is_begun = !std::mem::replace(&mut self.estimating, true);
+        if is_begun {
+            self.expected_px = self.teaching.as_ref().and_then(Teaching::uncertainty_px);
+        }
+        is_begun
     }
 
     /// Takes the estimate that was asked for; one that could not be made leaves the one before.
@@ -294,6 +319,10 @@ impl BoardPart {
         self.estimating = false;
         let outdated = std::mem::take(&mut self.exchanged);
         if let Some(EstimateSoFar { running, going_on, model_holds }) = estimate {
+            // Compared with what the same views let expect: one view more may halve either.
+            self.harder = self
+                .expected_px
+                .map_or(1.0, |expected_px| (running.uncertainty_px.median / expected_px).max(1.0));
             self.summary.estimate = Some(running);
             self.going_on = going_on.filter(|_| !outdated);
             self.model_holds = model_holds;
@@ -317,10 +346,8 @@ impl BoardPart {
             let figure =
                 if self.goal_px.is_some() { GoalFigure::Median } else { GoalFigure::Worst };
             let teaching = Teaching::new(&self.target, size, (self.lens, figure));
-            self.own = teaching.suggest(self.goal_px);
-            self.requested.clone_from(&self.own);
-            self.advice.renew(self.own.clone());
             self.teaching = Some(teaching);
+            self.suggest();
         }
     }
 
@@ -377,6 +404,11 @@ impl BoardPart {
             teaching.add(taught);
             self.depth.add(number, depth, teaching);
         }
+        self.suggest();
+    }
+
+    /// Finds the view that teaches it most, and asks for one.
+    fn suggest(&mut self) {
         let goal_px = self.harder_goal_px();
         self.own = self.teaching.as_ref().and_then(|teaching| teaching.suggest(goal_px));
         self.request();
@@ -386,7 +418,13 @@ impl BoardPart {
     fn request(&mut self) {
         let goal_px = self.harder_goal_px();
         let Some(teaching) = &self.teaching else { return };
-        self.requested = self.depth.request(teaching, self.own.as_ref(), goal_px);
+        let requested = self.depth.request(teaching, self.own.as_ref(), goal_px);
+        // However little is open: fewer views are not worth stopping for.
+        let least = self.least_views.saturating_sub(self.views.len() as u32);
+        self.requested = requested.map(|view| SuggestedView {
+            views_to_go: view.views_to_go.map(|to_go| to_go.map(|views| views.max(least))),
+            ..view
+        });
         self.asked_to_share = false;
         self.advice.renew(self.requested.clone());
     }

@@ -47,8 +47,6 @@ pub(super) struct SeenDepth {
     infrared_sees: bool,
 }
 
-/// A board is where it is asked for within this effort: a tenth of its distance, or twelve degrees.
-const ARRIVED: f64 = 0.2;
 /// Depth that fits no camera after so many views is left to the verdict: a session that waited for
 /// it would never end.
 const GIVEN_UP: usize = 10;
@@ -78,20 +76,8 @@ impl DepthPart {
             let stated = DeviceDepth { size, reading, invalid, factory: frame.factory };
             DepthTeaching::new(target, color, &stated)
         });
-        let measured = teaching.measure(&frame.image, taught);
+        let measured = teaching.measure(&frame.image, (color, taught));
         SeenDepth { measured, infrared_sees: frame.infrared_sees }
-    }
-
-    /// What was shown about where a view is asked for on behalf of depth is not worth keeping, nor
-    /// would it be again: whether another one should be asked for.
-    pub(super) fn refuses(&mut self, color: &Teaching, camera_from_board: &Pose) -> bool {
-        let Some(next) = self.next.as_ref().filter(|_| self.is_asked_for) else { return false };
-        let is_there = color.effort(camera_from_board, &next.camera_from_board) < ARRIVED;
-        let teaching = self.teaching.as_mut().filter(|_| is_there);
-        teaching.is_some_and(|teaching| {
-            teaching.refuse(next.camera_from_board);
-            true
-        })
     }
 
     /// Whether a view is worth keeping for what it teaches of depth: at least `worth` of half of
@@ -139,15 +125,15 @@ impl DepthPart {
         goal_px: Option<f64>,
     ) -> Option<SuggestedView> {
         let depth = self.counted();
-        // Of a camera that is known as little as before any fit nobody can say how many it takes.
-        let is_fitted = depth.is_some_and(|depth| depth.uncertainty_px().is_some());
+        // Of a camera that is known no better than guessed nobody can say how many it takes.
+        let is_placed = depth.is_some_and(|depth| depth.is_placed(color));
         self.next = depth.and_then(|depth| suggest_depth_view(depth, color, goal_px));
         self.is_asked_for = false;
         let own = own.cloned();
         let Some(next) = &self.next else { return own };
         let most = |[a, b]: [u32; 2], [c, d]: [u32; 2]| [a.max(c), b.max(d)];
         let own_to_go = own.as_ref().and_then(|own| own.views_to_go);
-        let views_to_go = own_to_go.zip(next.views_to_go.filter(|_| is_fitted));
+        let views_to_go = own_to_go.zip(next.views_to_go.filter(|_| is_placed));
         let views_to_go = views_to_go.map(|(own, depth)| most(own, depth));
         if own.as_ref().is_some_and(|own| own.uncertainty_px >= next.uncertainty_px) {
             return own.map(|own| SuggestedView { views_to_go, ..own });

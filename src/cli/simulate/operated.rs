@@ -117,6 +117,8 @@ pub struct OperatedOutcome {
     /// After each estimate: views, seconds, the median and the worst predicted uncertainty over the
     /// image, in pixels.
     pub course: Vec<(u32, f64, f64, f64)>,
+    /// How many more views it said it takes: at least and at most, after so many.
+    pub to_go: Vec<(u32, [u32; 2])>,
 }
 
 /// As sessions have it: fewer views are not worth stopping for.
@@ -195,6 +197,7 @@ impl OperatedSession {
             Operator::before(self.seed, self.operator.kind(), &self.board, (&self.lens, self.size));
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed ^ 0x006e_6f69_7365);
         let (mut reached, mut frames, mut course) = (false, 0_u64, Vec::new());
+        let mut to_go: Vec<(u32, [u32; 2])> = Vec::new();
         while !reached && (frames as f64) * FRAME_S < LONGEST_S {
             operator.ask(self.asked(&session).as_ref());
             let camera_from_board = operator.step(FRAME_S);
@@ -209,6 +212,9 @@ impl OperatedSession {
             frames += 1;
             let rejected = crate::calibration::admission::Rejection::NoBoard;
             let observed = session.observe_frame(frame, seen.map_err(rejected))?;
+            let record = session.record();
+            let said = record.guidance.views_to_go.filter(|_| !observed.kept.is_empty());
+            to_go.extend(said.map(|said| (record.views_kept, said)));
             let mut actions = observed.actions;
             while let Some(action) = actions.pop() {
                 match action {
@@ -232,7 +238,7 @@ impl OperatedSession {
         let options = CameraOptions { lens, ..CameraOptions::default() };
         let estimate = calibrate_camera(&self.problem(&session), &options).ok()?;
         let mut outcome = self.outcome(&estimate, &session, (reached, frames as f64 * FRAME_S))?;
-        outcome.course = course;
+        (outcome.course, outcome.to_go) = (course, to_go);
         Some(outcome)
     }
 
@@ -370,7 +376,18 @@ impl OperatedSession {
             focal_ratio: (estimate.lens.matrix.fx - self.lens.matrix.fx) / estimate.lens_std()[0],
             within: [part(1.0), part(2.0)],
             course: Vec::new(),
+            to_go: Vec::new(),
         })
+    }
+}
+
+impl OperatedOutcome {
+    /// Whether each number of views that it said it takes held.
+    fn held(&self) -> impl Iterator<Item = bool> {
+        let needed = |views: u32| self.views.saturating_sub(views);
+        self.to_go
+            .iter()
+            .map(move |(views, [few, many])| *few <= needed(*views) && needed(*views) <= *many)
     }
 }
 
@@ -430,8 +447,16 @@ pub fn summary(outcomes: &[OperatedOutcome]) -> String {
         let count = outcomes.iter().filter(|outcome| outcome.focal_ratio.abs() <= limit).count();
         100.0 * count as f64 / outcomes.len().max(1) as f64
     };
+    let said = outcomes.iter().filter(|outcome| outcome.reached).flat_map(OperatedOutcome::held);
+    let said: Vec<bool> = said.collect();
+    let held = said.iter().filter(|held| **held).count();
+    let said = if said.is_empty() {
+        String::new()
+    } else {
+        format!("; of {} numbers of views still needed {held} held", said.len())
+    };
     format!(
-        "{} sessions, {} reached: median {} views, {:.1} s; errors of projections within 1 and 2 sigma: {:.0} % and {:.0} %; of fx: {:.0} % and {:.0} %",
+        "{} sessions, {} reached: median {} views, {:.1} s; errors of projections within 1 and 2 sigma: {:.0} % and {:.0} %; of fx: {:.0} % and {:.0} %{said}",
         outcomes.len(),
         outcomes.iter().filter(|outcome| outcome.reached).count(),
         median(|outcome| f64::from(outcome.views)),
@@ -461,6 +486,7 @@ mod tests {
                 board: &board,
                 noise: &noise,
                 base: UnitQuaternion::identity(),
+                avoided: &[],
             };
             let views = (0..30).filter_map(|index| space.view(&Holding::of_sequence(index)));
             let mut seen = 0;
