@@ -8,6 +8,7 @@ use crate::estimation::effects::apply::with_effects;
 use crate::estimation::joint::BoardObservation;
 use crate::estimation::lens_choice::{COLUMNS, Trial, compared_views, may_be_worth_more};
 use crate::estimation::lens_pole::has_pole;
+use crate::estimation::lens_score::could_fit_better;
 use crate::estimation::problem::{CameraOptions, CameraProblem, LensChoice};
 use crate::estimation::start::Prepared;
 use crate::estimation::uncertainty::{
@@ -45,11 +46,16 @@ impl LensMisfit {
         if let Some(board) = &options.measured_board {
             prepared.place_on(board).ok()?;
         }
+        let is_larger = |model: &LensModel| model.facts().auto_place > Some(place);
+        let mut models = LensModel::compared().filter(is_larger);
+        let stated_board = (fit, prepared.observations.as_slice());
+        if !models.any(|model| could_fit_better(model, stated_board, (problem, options))) {
+            return None;
+        }
         // At their minima: of fits that ended at 0.03 standard deviations no larger model was worth
         // more on nearly equal views, where brown's focal length was off by four of its own.
         let mut fitted = |model| fit_camera(&mut prepared, model, options).ok();
         let own = fitted(stated)?;
-        let is_larger = |model: &LensModel| model.facts().auto_place > Some(place);
         let mut larger: Vec<CameraFit> =
             LensModel::compared().filter(is_larger).filter_map(&mut fitted).collect();
         larger.retain(|fit| !has_pole(fit.lens(), problem.image_size));

@@ -47,7 +47,7 @@ impl Variances {
         Self(effects.iter().map(start).collect())
     }
 
-    fn moves(&self) -> bool {
+    pub(super) fn moves(&self) -> bool {
         self.0.iter().any(|(effect, _)| effect.is_motion())
     }
 

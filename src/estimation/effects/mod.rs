@@ -19,6 +19,7 @@
 //! | whether motion is a rolling shutter's | `shutter`, `read_by_rows` |
 //! | the mean of two models that views do not decide between | `averaged` |
 //! | what each view does to the lens | `influence` |
+//! | what another lens would explain beside effects | `lens_score` |
 //! | dense factors | `dense` |
 
 pub(crate) mod apply;
@@ -34,6 +35,7 @@ mod hints;
 mod influence;
 #[cfg(test)]
 mod jacobian_tests;
+pub(crate) mod lens_score;
 mod measured;
 mod read_by_rows;
 mod shape_products;

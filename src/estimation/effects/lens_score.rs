@@ -1,0 +1,43 @@
+//! What another lens would explain beside the board's shape and motion, by one step.
+
+use crate::estimation::camera_fit::CameraFit;
+use crate::estimation::effects::evidence::Reduced;
+use crate::estimation::effects::state::{EffectsState, Scene};
+use crate::estimation::effects::system::System;
+use crate::estimation::joint::{BoardObservation, Layout};
+use crate::geometry::lens::Lens;
+
+/// The costs of a fit with effects and of the same with another lens that is near its own, after a
+/// step of everything with the variances as they are; the same twice where the views leave the other
+/// lens open. `stated` are the observations with the board as it was stated, `rows` the height of
+/// the images. `None` where the fit has no effects, or the other lens does not see all corners.
+pub(crate) fn costs_beside_effects(
+    fit: &CameraFit,
+    (stated, rows): (&[BoardObservation], f64),
+    (layout, lens): (&Layout, Lens),
+) -> Option<[f64; 2]> {
+    let found = fit.effects.as_ref()?;
+    let (basis, good) = (&found.basis, fit.good_views());
+    let observations: Vec<BoardObservation> = stated
+        .iter()
+        .zip(&fit.observations)
+        .map(|(stated, fitted)| BoardObservation { used: fitted.used.clone(), ..stated.clone() })
+        .collect();
+    let scene = Scene {
+        layout,
+        basis,
+        observations: &observations,
+        good: &good,
+        rows,
+        by_columns: None,
+        moves: found.variances.moves(),
+    };
+    let mut state: EffectsState = found.state.clone();
+    state.fixed.lenses[0] = lens;
+    let system = System::at(scene, &state)?;
+    let freedom = |lens: usize| (system.residual_count as f64) - (lens + 6 * good.len()) as f64;
+    let own = found.noise_square * freedom(fit.layout.len);
+    let reduced = Reduced::of(&system, &state, (basis, layout.len), &found.variances);
+    let larger = |reduced: Reduced<'_>| reduced.noise_square(&state) * freedom(layout.len);
+    Some([own, reduced.map_or(own, larger)])
+}

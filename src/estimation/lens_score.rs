@@ -1,0 +1,70 @@
+//! Whether a larger lens model could fit better at all: a score test (C. R. Rao, *Large sample tests
+//! of statistical hypotheses concerning several parameters*, 1948). One step of everything, from the
+//! nearest lens of the larger model, costs as much as one of the hundred linearizations that its
+//! fit and its comparison on held-out views take.
+
+use nalgebra::Point3;
+
+use crate::estimation::camera_fit::CameraFit;
+use crate::estimation::effects::lens_score::costs_beside_effects;
+use crate::estimation::joint::minimize::Minimum;
+use crate::estimation::joint::normal::Step;
+use crate::estimation::joint::{BoardObservation, FreeLens, Layout, State};
+use crate::estimation::nearest_lens::nearest_lens;
+use crate::estimation::problem::{CameraOptions, CameraProblem};
+use crate::estimation::robust::Loss;
+use crate::geometry::lens::LensModel;
+
+/// A gain beyond its expectation by this many standard deviations is no chance: where corners err
+/// by themselves, five times in a thousand. Of lenses that were too simple it was from 76 on.
+const BEYOND_CHANCE: f64 = 4.0;
+
+/// Points that the nearest lens is found by, at most.
+const MAX_POINTS: usize = 600;
+
+/// Whether a lens of `model` could explain what `fit`, of a smaller model, leaves. Where a step does
+/// not tell, it could. `stated` are the observations with the board as it was stated.
+pub(crate) fn could_fit_better(
+    model: LensModel,
+    (fit, stated): (&CameraFit, &[BoardObservation]),
+    (problem, options): (&CameraProblem, &CameraOptions),
+) -> bool {
+    let Ok((free, given)) = FreeLens::from_options(model, options) else { return false };
+    let Some(lens) = nearest_lens(fit.lens(), (&free, &given), &some_points(fit)) else {
+        return true;
+    };
+    let layout = Layout::new(vec![free], None).ended_by(&options.interrupt);
+    let costs = if fit.effects.is_some() {
+        let rows = f64::from(problem.image_size.height);
+        costs_beside_effects(fit, (stated, rows), (&layout, lens))
+    } else {
+        let state = State { lenses: vec![lens], ..fit.robust.minimum.state.clone() };
+        Minimum::start(&layout, state, &fit.observations, Loss::Squares).and_then(|there| {
+            let own = fit.robust.minimum.equations.cost;
+            let step = there.equations.solve(0.0);
+            let left = |step: &Step| there.equations.cost - step.predicted_decrease;
+            Some([own, step.as_ref().map_or(own, left)])
+        })
+    };
+    let Some([own, larger]) = costs else { return true };
+    // Twice the logarithm of the likelihood ratio, the noise's variance being estimated.
+    let residuals: usize =
+        fit.observations.iter().flat_map(|o| &o.used).filter(|used| **used).count() * 2;
+    let gain = residuals as f64 * (own / larger.max(f64::MIN_POSITIVE)).ln();
+    let more = layout.len.saturating_sub(fit.layout.len).max(1) as f64;
+    gain > more + BEYOND_CHANCE * (2.0 * more).sqrt()
+}
+
+/// The corners of a fit, or enough of them, in the camera's frame.
+fn some_points(fit: &CameraFit) -> Vec<Point3<f64>> {
+    let state = &fit.robust.minimum.state;
+    let of_view = |view: usize| {
+        let observation = &fit.observations[view];
+        let pose = state.rig_from_board[observation.frame_set];
+        let used = observation.points.iter().zip(&observation.used).filter(|(_, used)| **used);
+        used.map(move |(point, _)| pose * *point)
+    };
+    let points: Vec<Point3<f64>> = fit.good_views().into_iter().flat_map(of_view).collect();
+    let step = points.len().div_ceil(MAX_POINTS).max(1);
+    points.into_iter().step_by(step).collect()
+}

@@ -1,0 +1,88 @@
+//! The lens of one model that is nearest to a lens of another, where points are seen.
+
+use nalgebra::{DMatrix, Point3, SMatrix, SVector, Vector2};
+
+use crate::estimation::joint::free_lens::{FreeLens, Given};
+use crate::geometry::lens::{Distortion, Lens, LensModel, MAX_PARAMETERS};
+
+/// Gauss–Newton steps: the models are close to linear in their coefficients.
+const STEPS: usize = 5;
+
+/// Parameters that the points leave open stay where they are.
+const DAMPING: f64 = 1e-12;
+
+/// The lens with the parameters that `free` leaves, the others being `given`, that sees
+/// `points_in_camera` as nearly as possible as `lens` does, by least squares of pixels. `None` where
+/// it does not see them all.
+pub(crate) fn nearest_lens(
+    lens: &Lens,
+    (free, given): (&FreeLens, &Given),
+    points_in_camera: &[Point3<f64>],
+) -> Option<Lens> {
+    let mut near = Lens { matrix: lens.matrix, distortion: nested(lens, free.model)? };
+    given.apply(&mut near)?;
+    let spread = free.spread(&near);
+    let (all, size) = spread.shape();
+    for _ in 0..STEPS {
+        let mut square = SMatrix::<f64, MAX_PARAMETERS, MAX_PARAMETERS>::zeros();
+        let mut right = SVector::<f64, MAX_PARAMETERS>::zeros();
+        for point in points_in_camera {
+            let (seen, now) = (lens.pixel_from_point(point)?, near.project(point)?);
+            let miss = Vector2::new(seen.x - now.pixel.x, seen.y - now.pixel.y);
+            square += now.by_parameters.tr_mul(&now.by_parameters);
+            right += now.by_parameters.tr_mul(&miss);
+        }
+        let square = spread.transpose() * square.view((0, 0), (all, all)) * &spread;
+        let right = spread.transpose() * right.rows(0, all);
+        // Parameters differ by orders of magnitude: in units of their own strength.
+        let scale = square.diagonal().map(|d| 1.0 / d.max(f64::MIN_POSITIVE).sqrt());
+        let scaled = DMatrix::from_fn(size, size, |i, j| {
+            square[(i, j)] * scale[i] * scale[j] + if i == j { DAMPING } else { 0.0 }
+        });
+        let step = scaled.cholesky()?.solve(&right.component_mul(&scale)).component_mul(&scale);
+        let step = &spread * step;
+        let parameters: Vec<f64> =
+            near.parameters().iter().zip(&step).map(|(now, step)| now + step).collect();
+        near = Lens::from_parameters(free.model, &parameters)?;
+    }
+    Some(near)
+}
+
+/// The distortion of a lens in a model that holds it, or where a search for one begins.
+fn nested(lens: &Lens, model: LensModel) -> Option<Distortion> {
+    match lens.distortion.as_rational() {
+        Some(coefficients) if model == LensModel::Rational => {
+            Distortion::from_coefficients(model, &coefficients)
+        }
+        _ => Some(Distortion::start(model)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimation::problem::CameraOptions;
+
+    fn points() -> Vec<Point3<f64>> {
+        let along = |k: i32| f64::from(k) / 12.0;
+        (-6..=6).flat_map(|x| (-6..=6).map(move |y| Point3::new(along(x), along(y), 1.0))).collect()
+    }
+
+    #[test]
+    fn a_model_that_holds_the_lens_gives_it_and_another_comes_near() {
+        let parameters = [600.0, 601.0, 320.0, 240.0, 0.0, -0.2, 0.05, 1e-3, -5e-4, 0.01];
+        let lens = Lens::from_parameters(LensModel::Brown, &parameters).unwrap();
+        let off_px = |model| {
+            let (free, given) = FreeLens::from_options(model, &CameraOptions::default()).unwrap();
+            let near = nearest_lens(&lens, (&free, &given), &points()).unwrap();
+            let off = |point: &Point3<f64>| {
+                let [seen, near] = [lens, near].map(|lens| lens.pixel_from_point(point).unwrap());
+                seen.distance_px(near)
+            };
+            points().iter().map(off).fold(0.0, f64::max)
+        };
+        assert!(off_px(LensModel::Rational) < 1e-9);
+        let fisheye = off_px(LensModel::KannalaBrandt);
+        assert!((0.01..1.0).contains(&fisheye), "{fisheye}");
+    }
+}
