@@ -94,39 +94,38 @@ pub(super) fn lower_times(lower: &DMatrix<f64>, h: &DMatrix<f64>) -> DMatrix<f64
     product
 }
 
-/// Takes hᵀ h from the lower half of `a`.
+/// Takes h hᵀ from the lower half of `a`.
 pub(super) fn take_square_from_lower(a: &mut DMatrix<f64>, h: &DMatrix<f64>) {
     let (size, across) = (a.nrows(), h.transpose());
     for at in (0..size).step_by(BLOCK) {
         let width = BLOCK.min(size - at);
         a.view_mut((at, at), (size - at, width)).gemm(
             -1.0,
-            &across.rows(at, size - at),
-            &h.columns(at, width),
+            &h.rows(at, size - at),
+            &across.columns(at, width),
             1.0,
         );
     }
 }
 
-/// L of a small matrix.
+/// L of a small matrix, column by column, each less its part of those before it.
 fn cholesky(a: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let size = a.nrows();
     let mut lower = DMatrix::zeros(size, size);
     for j in 0..size {
-        for i in j..size {
-            let mut sum = a[(i, j)];
-            for k in 0..j {
-                sum -= lower[(i, k)] * lower[(j, k)];
-            }
-            if i == j {
-                if !(sum > 1e-13 * a[(j, j)]) {
-                    return None;
-                }
-                lower[(j, j)] = sum.sqrt();
-            } else {
-                lower[(i, j)] = sum / lower[(j, j)];
-            }
+        let (before, from_here) = lower.as_mut_slice().split_at_mut(j * size);
+        let column = &mut from_here[j..size];
+        column.copy_from_slice(&a.as_slice()[j * size + j..(j + 1) * size]);
+        let diagonal = column[0];
+        for other in before.chunks_exact(size) {
+            subtract(column, other[j], &other[j..]);
         }
+        if !(column[0] > 1e-13 * diagonal) {
+            return None;
+        }
+        let root = column[0].sqrt();
+        column[0] = root;
+        column[1..].iter_mut().for_each(|value| *value /= root);
     }
     Some(lower)
 }
@@ -134,14 +133,21 @@ fn cholesky(a: &DMatrix<f64>) -> Option<DMatrix<f64>> {
 fn inverse_of_lower(lower: &DMatrix<f64>) -> DMatrix<f64> {
     let size = lower.nrows();
     let mut inverse = DMatrix::zeros(size, size);
-    for column in 0..size {
-        inverse[(column, column)] = 1.0 / lower[(column, column)];
-        for row in column + 1..size {
-            let sum: f64 = (column..row).map(|k| lower[(row, k)] * inverse[(k, column)]).sum();
-            inverse[(row, column)] = -sum / lower[(row, row)];
+    for (first, column) in inverse.as_mut_slice().chunks_exact_mut(size).enumerate() {
+        column[first] = 1.0;
+        for k in first..size {
+            let of_lower = &lower.as_slice()[k * size + k..(k + 1) * size];
+            let (above, below) = column.split_at_mut(k + 1);
+            above[k] /= of_lower[0];
+            subtract(below, above[k], &of_lower[1..]);
         }
     }
     inverse
+}
+
+/// Takes `factor` times `other` from `column`.
+fn subtract(column: &mut [f64], factor: f64, other: &[f64]) {
+    column.iter_mut().zip(other).for_each(|(value, other)| *value -= factor * other);
 }
 
 #[cfg(test)]
@@ -162,7 +168,7 @@ mod tests {
             let thin = DMatrix::from_fn(size, 5, |i, j| (i * j) as f64);
             assert!((lower_times(&root, &thin) - &root * &thin).amax() < 1e-9);
             let mut less = a.clone();
-            take_square_from_lower(&mut less, &thin.transpose());
+            take_square_from_lower(&mut less, &thin);
             let off = (less - (&a - &thin * thin.transpose())).lower_triangle();
             assert!(off.amax() < 1e-9 * a.amax().max((size * size) as f64));
             let plain: f64 =

@@ -13,6 +13,7 @@ use crate::estimation::effects::dense::{
     Factor, lower_times, square_of_lower, take_square_from_lower,
 };
 use crate::estimation::effects::effect::Effect;
+use crate::estimation::effects::six_columns::{by_inverse_transpose, square_of_six};
 use crate::estimation::effects::state::EffectsState;
 use crate::estimation::effects::system::{System, ViewPart};
 
@@ -103,7 +104,7 @@ fn prior_information(variances: &Variances, lens: usize, basis: &BoardBasis) -> 
     of
 }
 
-/// The motion of one view, eliminated: rows of L⁻¹ F, and L⁻¹ of its gradient.
+/// The motion of one view, eliminated: its factor L, and L⁻¹ of its gradient.
 struct Eliminated {
     factor: Matrix6<f64>,
     half_gradient: Vector6<f64>,
@@ -120,7 +121,7 @@ pub(super) struct Reduced<'a> {
     scale: DVector<f64>,
     factor: Factor,
     gradient: DVector<f64>,
-    /// 6 rows a view: L⁻¹ times the coupling of its motion with the globals.
+    /// 6 columns a view: the coupling of the globals with its motion, times L⁻ᵀ.
     halves: DMatrix<f64>,
     eliminated: Vec<Eliminated>,
     /// ln |motion's block + Λ| − ln |Λ|, summed.
@@ -144,7 +145,7 @@ impl<'a> Reduced<'a> {
         }
         let of_motion = variances.of_motion(system);
         let views = if variances.moves() { system.views.len() } else { 0 };
-        let mut halves = DMatrix::zeros(6 * views, size);
+        let mut halves = DMatrix::zeros(size, 6 * views);
         let mut eliminated = Vec::with_capacity(views);
         let mut motion_determinants = 0.0;
         for (k, view) in system.views.iter().take(views).enumerate() {
@@ -153,9 +154,10 @@ impl<'a> Reduced<'a> {
                 (0..6).map(|k| 2.0 * factor[(k, k)].ln() - of_motion[k].ln()).sum::<f64>();
             let now = state.motions[view.observation].component_mul(&of_motion);
             let half_gradient = factor.solve_lower_triangular(&(view.motion_gradient + now))?;
-            let half = factor.solve_lower_triangular(&view.motion_coupling)?;
-            gradient -= half.transpose() * half_gradient;
-            halves.rows_mut(6 * k, 6).copy_from(&half);
+            let mut half = view.motion_coupling.clone();
+            by_inverse_transpose(&mut half, &factor);
+            gradient.gemv(-1.0, &half, &half_gradient, 1.0);
+            halves.columns_mut(6 * k, 6).copy_from(&half);
             eliminated.push(Eliminated { factor, half_gradient });
         }
         if views > 0 {
@@ -189,16 +191,16 @@ impl<'a> Reduced<'a> {
         for (mut column, scale) in root.column_iter_mut().zip(&self.scale) {
             column *= *scale;
         }
-        let step = -(root.transpose() * (&root * &self.gradient));
-        let carried = lower_times(&root, &self.halves.transpose());
+        let step = -root.tr_mul(&(&root * &self.gradient));
+        let carried = lower_times(&root, &self.halves);
         let (mut motions, mut motion_covariances, mut ups) = (Vec::new(), Vec::new(), Vec::new());
         for (k, view) in self.eliminated.iter().enumerate() {
-            let right = view.half_gradient + self.halves.rows(6 * k, 6) * &step;
+            let right = view.half_gradient + self.halves.columns(6 * k, 6).tr_mul(&step);
             let up = view.factor.try_inverse().unwrap_or_default().transpose();
             motions.push(-(up * right));
             ups.push(up);
             let carried = carried.columns(6 * k, 6);
-            let inner = Matrix6::from_fn(|i, j| carried.column(i).dot(&carried.column(j)));
+            let inner = square_of_six(&carried);
             motion_covariances.push(up * (inner + Matrix6::identity()) * up.transpose());
         }
         Posterior {

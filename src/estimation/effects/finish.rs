@@ -9,17 +9,18 @@ use crate::estimation::effects::effects_fit::EffectsFit;
 use crate::estimation::effects::evidence::Posterior;
 use crate::estimation::effects::fit::EffectSearch;
 use crate::estimation::effects::influence::view_jacobians;
+use crate::estimation::effects::six_columns::square_of_six;
 use crate::estimation::effects::state::Scene;
 use crate::estimation::effects::system::System;
 use crate::estimation::joint::{BoardObservation, Layout};
 use crate::geometry::lens::Lens;
 
 impl EffectSearch {
-    pub(super) fn finished(self, scene: Scene<'_>) -> Option<EffectsFit> {
+    pub(super) fn finished(mut self, scene: Scene<'_>) -> Option<EffectsFit> {
         let basis = Rc::clone(&self.basis);
         let (scene, lens) = (self.narrowed(scene, &basis), scene.layout.len);
         let of_motion = self.moves().then(|| self.variances.of_motion(&self.system));
-        let posterior = self.posterior(scene)?;
+        let posterior = self.here.take().or_else(|| self.posterior(scene))?;
         let noise_square = posterior.noise_square;
         let all = posterior.covariance();
         let size = basis.len();
@@ -69,11 +70,11 @@ fn pose_covariances(
         let mut covariance = alone;
         if let Some(up) = posterior.motion_up(k) {
             let through_motion = by_motion * up;
-            through -= through_motion * posterior.halves.rows(6 * k, 6);
+            through -= posterior.halves.columns(6 * k, 6) * through_motion.transpose();
             covariance += through_motion * through_motion.transpose();
         }
-        let carried = &posterior.root * through.transpose();
-        covariance += Matrix6::from_fn(|i, j| carried.column(i).dot(&carried.column(j)));
+        let carried = &posterior.root * through;
+        covariance += square_of_six(&carried.columns(0, 6));
         all[view.observation] = Some(covariance * posterior.noise_square);
     }
     all

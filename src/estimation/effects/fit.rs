@@ -175,6 +175,8 @@ pub(super) struct EffectSearch {
     pub(super) variances: Variances,
     /// Those functions on the board that are in the model.
     pub(super) basis: Rc<BoardBasis>,
+    /// What data and variances say here, where that was asked last.
+    pub(super) here: Option<Posterior>,
 }
 
 impl EffectSearch {
@@ -217,7 +219,7 @@ impl EffectSearch {
         let scene = Scene { basis: &basis, moves: wanted.motion, ..scene };
         let system = System::at(scene, &state)?;
         let variances = Variances::start(&effects, &system, scene.layout.len, &basis);
-        Some(Self { state, system, variances, basis: Rc::new(basis) })
+        Some(Self { state, system, variances, basis: Rc::new(basis), here: None })
     }
 
     /// The scene with what is in the model, `basis` being its own.
@@ -266,7 +268,7 @@ impl EffectSearch {
     /// The same with corners chosen anew.
     fn again(self, scene: Scene<'_>) -> Option<Self> {
         let system = System::at(self.narrowed(scene, &self.basis), &self.state)?;
-        Some(Self { system, ..self })
+        Some(Self { system, here: None, ..self })
     }
 
     pub(super) fn moves(&self) -> bool {
@@ -280,7 +282,8 @@ impl EffectSearch {
             state.clear(*effect, &self.basis);
         }
         let system = System::at(self.narrowed(scene, &self.basis), &state)?;
-        Some(Self { state, system, variances: self.variances.clone(), basis: self.basis.clone() })
+        let (variances, basis) = (self.variances.clone(), self.basis.clone());
+        Some(Self { state, system, variances, basis, here: None })
     }
 
     fn reduced<'a>(&'a self, scene: Scene<'a>, variances: &'a Variances) -> Option<Reduced<'a>> {
@@ -293,6 +296,7 @@ impl EffectSearch {
 
     /// Steps until neither state nor variances move.
     pub(super) fn settle(&mut self, scene: Scene<'_>, max_steps: usize) -> Option<()> {
+        self.here = None;
         let basis = Rc::clone(&self.basis);
         let scene = self.narrowed(scene, &basis);
         for _ in 0..max_steps {
@@ -361,8 +365,9 @@ impl EffectSearch {
     fn drop_idle(&mut self, scene: Scene<'_>, wanted: Wanted) -> Option<bool> {
         let basis = Rc::clone(&self.basis);
         let scene = self.narrowed(scene, &basis);
-        let idle = self.idle(scene, wanted)?;
+        let (idle, posterior) = self.idle(scene, wanted)?;
         if idle.is_empty() {
+            self.here = Some(posterior);
             return Some(false);
         }
         for effect in &idle {
@@ -378,13 +383,13 @@ impl EffectSearch {
         Some(true)
     }
 
-    /// The effects that are not missed.
-    fn idle(&self, scene: Scene<'_>, wanted: Wanted) -> Option<Vec<Effect>> {
+    /// The effects that are not missed, with the posterior that says so.
+    fn idle(&self, scene: Scene<'_>, wanted: Wanted) -> Option<(Vec<Effect>, Posterior)> {
         let reduced = self.reduced(scene, &self.variances)?;
         let with = reduced.log_evidence(&self.state);
         let of = (scene.basis, scene.layout.len);
-        let gains =
-            reduced.posterior(&self.state).gains(&self.system, &self.state, of, &self.variances);
+        let posterior = reduced.posterior(&self.state);
+        let gains = posterior.gains(&self.system, &self.state, of, &self.variances);
         let mut idle: Vec<Effect> = Vec::new();
         for motion in [true, false] {
             let group: Vec<(Effect, f64)> = self
@@ -404,7 +409,7 @@ impl EffectSearch {
             let missed = |gain: &f64| whole >= LEAST_GROUP_GAIN && *gain >= LEAST_GAIN;
             idle.extend(group.iter().filter(|(_, gain)| !missed(gain)).map(|(effect, _)| *effect));
         }
-        Some(idle)
+        Some((idle, posterior))
     }
 
     pub(super) fn log_evidence(&self, scene: Scene<'_>, variances: &Variances) -> Option<f64> {

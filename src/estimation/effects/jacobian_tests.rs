@@ -1,7 +1,7 @@
 //! The columns of one view against numeric differences of its residuals: lens, smooth shapes,
 //! motion, pose, and each corner's own offset.
 
-use nalgebra::{DMatrix, Matrix6xX, Point3, UnitQuaternion, Vector3};
+use nalgebra::{DMatrix, MatrixXx6, Point3, UnitQuaternion, Vector3};
 
 use crate::estimation::effects::board_basis::BoardBasis;
 use crate::estimation::effects::state::{EffectsState, Scene};
@@ -200,10 +200,10 @@ fn equations_are_the_products_of_the_columns() {
         }
     };
     let part = &system.views[0];
-    let dynamic = |of: &Matrix6xX<f64>| DMatrix::from_column_slice(6, of.ncols(), of.as_slice());
+    let dynamic = |of: &MatrixXx6<f64>| DMatrix::from_column_slice(of.nrows(), 6, of.as_slice());
     let column = |of: &[f64]| DMatrix::from_column_slice(of.len(), 1, of);
     agree("global", system.global.clone(), [&globals, &globals], true);
     agree("gradient", column(system.gradient.as_slice()), [&globals, &residual], false);
-    agree("coupling", dynamic(&part.motion_coupling), [&motion, &globals], false);
+    agree("coupling", dynamic(&part.motion_coupling), [&globals, &motion], false);
     agree("motion gradient", column(part.motion_gradient.as_slice()), [&motion, &residual], false);
 }

@@ -21,6 +21,7 @@
 //! | what each view does to the lens | `influence` |
 //! | what another lens would explain beside effects | `lens_score` |
 //! | dense factors | `dense` |
+//! | six columns at a time: what poses and motions are coupled with | `six_columns` |
 
 pub(crate) mod apply;
 mod averaged;
@@ -40,6 +41,7 @@ mod measured;
 mod read_by_rows;
 mod shape_products;
 mod shutter;
+mod six_columns;
 pub(crate) mod state;
 mod system;
 mod view_columns;

@@ -5,10 +5,11 @@
 //! of its pose, which are eliminated here, and six of its motion while it was read, which are kept
 //! because their variance is still to be estimated.
 
-use nalgebra::{DMatrix, DMatrixView, DVector, Matrix6, Matrix6xX, Vector3, Vector6};
+use nalgebra::{DMatrix, DMatrixView, DVector, Matrix6, MatrixXx6, Vector3, Vector6};
 
 use crate::estimation::effects::dense::take_square_from_lower;
 use crate::estimation::effects::shape_products::{PointProducts, SeenPoints, by_board_axes};
+use crate::estimation::effects::six_columns::{by_inverse_transpose, take_product};
 use crate::estimation::effects::state::{EffectsState, Scene, read_out_times};
 use crate::estimation::joint::linearize::{
     Columns, LocalEquations, linearize_observation, multiply,
@@ -20,14 +21,15 @@ pub(super) struct ViewPart {
     pub(super) observation: usize,
     /// L of L Lᵀ = the pose's block.
     pose_factor: Matrix6<f64>,
-    /// L⁻¹ of what couples the pose with: the globals, the motion, the residual.
-    half: Matrix6xX<f64>,
+    /// What couples the pose with the globals (globals × 6), times L⁻ᵀ; L⁻¹ of what couples it with
+    /// the motion and the residual.
+    half: MatrixXx6<f64>,
     half_motion: Matrix6<f64>,
     half_gradient: Vector6<f64>,
-    /// The motion's block, its coupling with the globals (6 × globals), its gradient; the pose
+    /// The motion's block, its coupling with the globals (globals × 6), its gradient; the pose
     /// eliminated.
     pub(super) motion: Matrix6<f64>,
-    pub(super) motion_coupling: Matrix6xX<f64>,
+    pub(super) motion_coupling: MatrixXx6<f64>,
     pub(super) motion_gradient: Vector6<f64>,
 }
 
@@ -150,10 +152,10 @@ impl System {
     /// Takes from the global block what the poses explain, all views in one product.
     fn eliminate_poses(&mut self) {
         let globals = self.gradient.len();
-        let mut halves = DMatrix::zeros(6 * self.views.len(), globals);
+        let mut halves = DMatrix::zeros(globals, 6 * self.views.len());
         for (k, view) in self.views.iter().enumerate() {
-            halves.rows_mut(6 * k, 6).copy_from(&view.half);
-            self.gradient -= view.half.transpose() * view.half_gradient;
+            halves.columns_mut(6 * k, 6).copy_from(&view.half);
+            self.gradient.gemv(-1.0, &view.half, &view.half_gradient, 1.0);
         }
         take_square_from_lower(&mut self.global, &halves);
     }
@@ -168,17 +170,19 @@ impl ViewPart {
         let gradient = |at: usize| Vector6::from_fn(|k, _| product(at + k, residual));
         let globals = lens + shape.nrows();
         let coupling = |at: usize, first: usize| {
-            let mut coupling = Matrix6xX::zeros(globals);
+            let mut coupling = MatrixXx6::zeros(globals);
             for k in 0..6 {
-                (0..lens).for_each(|i| coupling[(k, i)] = product(i, at + k));
-                let shape = shape.column(first + k);
-                shape.iter().enumerate().for_each(|(i, value)| coupling[(k, lens + i)] = *value);
+                (0..lens).for_each(|i| coupling[(i, k)] = product(i, at + k));
+                coupling
+                    .view_mut((lens, k), (shape.nrows(), 1))
+                    .copy_from(&shape.column(first + k));
             }
             coupling
         };
         let pose_factor = block(pose, pose).cholesky()?.unpack();
         let half_gradient = pose_factor.solve_lower_triangular(&gradient(pose))?;
-        let half = pose_factor.solve_lower_triangular(&coupling(pose, 0))?;
+        let mut half = coupling(pose, 0);
+        by_inverse_transpose(&mut half, &pose_factor);
         let mut part = Self {
             observation: view.observation,
             pose_factor,
@@ -186,13 +190,13 @@ impl ViewPart {
             half_motion: Matrix6::zeros(),
             half_gradient,
             motion: Matrix6::zeros(),
-            motion_coupling: Matrix6xX::zeros(0),
+            motion_coupling: MatrixXx6::zeros(0),
             motion_gradient: Vector6::zeros(),
         };
         if shape.ncols() > 6 {
             let half_motion = pose_factor.solve_lower_triangular(&block(pose, motion))?;
             let mut motion_coupling = coupling(motion, 6);
-            motion_coupling.gemm(-1.0, &half_motion.transpose(), &part.half, 1.0);
+            take_product(&mut motion_coupling, &part.half, &half_motion);
             part.motion = block(motion, motion) - half_motion.transpose() * half_motion;
             part.motion_gradient = gradient(motion) - half_motion.transpose() * part.half_gradient;
             (part.half_motion, part.motion_coupling) = (half_motion, motion_coupling);
@@ -207,15 +211,15 @@ impl ViewPart {
 
     /// The step of the pose that belongs to steps of the globals and of the motion.
     pub(super) fn pose_step(&self, global: &DVector<f64>, motion: &Vector6<f64>) -> Vector6<f64> {
-        let right = self.half_gradient + &self.half * global + self.half_motion * motion;
+        let right = self.half_gradient + self.half.tr_mul(global) + self.half_motion * motion;
         self.pose_factor.tr_solve_lower_triangular(&-right).unwrap_or_else(Vector6::zeros)
     }
 
-    /// How the pose follows the globals, and the motion: (6 × globals, 6 × 6), and the covariance
+    /// How the pose follows the globals, and the motion: (globals × 6, 6 × 6), and the covariance
     /// of the pose when both are known.
-    pub(super) fn pose_response(&self) -> Option<(Matrix6xX<f64>, Matrix6<f64>, Matrix6<f64>)> {
+    pub(super) fn pose_response(&self) -> Option<(MatrixXx6<f64>, Matrix6<f64>, Matrix6<f64>)> {
         let inverse = self.pose_factor.try_inverse()?;
         let up = inverse.transpose();
-        Some((-(up * &self.half), -(up * self.half_motion), up * inverse))
+        Some((-(&self.half * inverse), -(up * self.half_motion), up * inverse))
     }
 }
