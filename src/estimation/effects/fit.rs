@@ -312,7 +312,7 @@ impl EffectSearch {
                 .map(|((a, b), known)| (a.1 / b.1).ln().abs() * known.sqrt().min(1.0))
                 .fold(0.0, f64::max);
             self.variances = next;
-            if changed < 0.1 && decrease < 0.01 * posterior.noise_square {
+            if changed < 0.1 && decrease < 0.03 * posterior.noise_square {
                 break;
             }
         }
