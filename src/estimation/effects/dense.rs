@@ -6,6 +6,9 @@ use nalgebra::{DMatrix, DVector};
 /// Columns of a block: a factor of a block is small beside the products that it saves.
 const BLOCK: usize = 32;
 
+/// Columns of the inverse made at once: above its diagonal there is nothing to multiply.
+const ACROSS: usize = 64;
+
 /// A lower-triangular L with L Lᵀ = A, and the inverses of its diagonal blocks.
 pub(super) struct Factor {
     lower: DMatrix<f64>,
@@ -60,9 +63,11 @@ impl Factor {
         for (block, at) in (0..size).step_by(BLOCK).enumerate() {
             let width = BLOCK.min(size - at);
             let own = &self.diagonal_inverses[block];
-            if at > 0 {
-                let left = self.lower.view((at, 0), (width, at)) * of_lower.view((0, 0), (at, at));
-                of_lower.view_mut((at, 0), (width, at)).gemm(-1.0, own, &left, 0.0);
+            for first in (0..at).step_by(ACROSS) {
+                let (across, deep) = (ACROSS.min(at - first), at - first);
+                let left = self.lower.view((at, first), (width, deep))
+                    * of_lower.view((first, first), (deep, across));
+                of_lower.view_mut((at, first), (width, across)).gemm(-1.0, own, &left, 0.0);
             }
             of_lower.view_mut((at, at), (width, width)).copy_from(own);
         }

@@ -12,7 +12,7 @@ use crate::estimation::effects::shape_products::{PointProducts, SeenPoints, by_b
 use crate::estimation::effects::six_columns::{by_inverse_transpose, take_product};
 use crate::estimation::effects::state::{EffectsState, Scene, read_out_times};
 use crate::estimation::joint::linearize::{
-    Columns, LocalEquations, linearize_observation, multiply,
+    Columns, LocalEquations, differentiate_observation, linearize_observation, multiply,
 };
 use crate::estimation::robust::Loss;
 
@@ -111,7 +111,9 @@ impl System {
         let seen = state.moved_observation(scene, offsets, observation);
         let results = (self.residuals[observation].as_mut_slice(), &mut room.local);
         let at = (scene.layout, &state.fixed);
-        if !linearize_observation(at, &seen, Loss::Squares, &mut room.columns, results) {
+        // With motion there are more columns to multiply.
+        let linearize = if scene.moves { differentiate_observation } else { linearize_observation };
+        if !linearize(at, &seen, Loss::Squares, &mut room.columns, results) {
             return None;
         }
         self.cost += room.local.cost;

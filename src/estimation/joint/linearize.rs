@@ -63,6 +63,7 @@ pub(crate) fn linearize_observation(
     columns: &mut Columns,
     (residuals, local): (&mut [[f64; 2]], &mut LocalEquations),
 ) -> bool {
+    let multiplied = true;
     Arch::new().dispatch(ObservationRef {
         layout,
         state,
@@ -71,6 +72,29 @@ pub(crate) fn linearize_observation(
         columns,
         residuals,
         local,
+        multiplied,
+    })
+}
+
+/// As [`linearize_observation`], without the products of its columns: of `local` only the cost is
+/// set.
+pub(crate) fn differentiate_observation(
+    (layout, state): (&Layout, &State),
+    observation: &BoardObservation,
+    loss: Loss,
+    columns: &mut Columns,
+    (residuals, local): (&mut [[f64; 2]], &mut LocalEquations),
+) -> bool {
+    let multiplied = false;
+    Arch::new().dispatch(ObservationRef {
+        layout,
+        state,
+        observation,
+        loss,
+        columns,
+        residuals,
+        local,
+        multiplied,
     })
 }
 
@@ -82,6 +106,8 @@ struct ObservationRef<'a> {
     columns: &'a mut Columns,
     residuals: &'a mut [[f64; 2]],
     local: &'a mut LocalEquations,
+    /// Whether its columns are multiplied with each other.
+    multiplied: bool,
 }
 
 impl WithSimd for ObservationRef<'_> {
@@ -98,7 +124,9 @@ impl WithSimd for ObservationRef<'_> {
             return false;
         }
         let count = self.differentiate();
-        multiply_columns(simd, &self.columns.values, count, self.local);
+        if self.multiplied {
+            multiply_columns(simd, &self.columns.values, count, self.local);
+        }
         true
     }
 }
