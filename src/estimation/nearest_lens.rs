@@ -8,6 +8,9 @@ use crate::geometry::lens::{Distortion, Lens, LensModel, MAX_PARAMETERS};
 /// Gauss–Newton steps: the models are close to linear in their coefficients.
 const STEPS: usize = 5;
 
+/// What a model leaves that holds the lens.
+const NO_MISS_PX: f64 = 1e-9;
+
 /// Parameters that the points leave open stay where they are.
 const DAMPING: f64 = 1e-12;
 
@@ -36,10 +39,14 @@ pub(crate) fn nearest_lens(
         let right = spread.transpose() * right.rows(0, all);
         // Parameters differ by orders of magnitude: in units of their own strength.
         let scale = square.diagonal().map(|d| 1.0 / d.max(f64::MIN_POSITIVE).sqrt());
+        let right = right.component_mul(&scale);
+        if right.amax() < NO_MISS_PX {
+            break;
+        }
         let scaled = DMatrix::from_fn(size, size, |i, j| {
             square[(i, j)] * scale[i] * scale[j] + if i == j { DAMPING } else { 0.0 }
         });
-        let step = scaled.cholesky()?.solve(&right.component_mul(&scale)).component_mul(&scale);
+        let step = scaled.cholesky()?.solve(&right).component_mul(&scale);
         let step = &spread * step;
         let parameters: Vec<f64> =
             near.parameters().iter().zip(&step).map(|(now, step)| now + step).collect();

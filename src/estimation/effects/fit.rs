@@ -186,16 +186,24 @@ impl EffectSearch {
         let flat = EffectsState::flat_and_still(plain, &rough, scene.observations.len());
         let rough_scene = Scene { basis: &rough, moves: true, ..scene };
         if !wanted.shape {
-            return Self::from_state(rough_scene, flat, wanted);
+            return Self::from_state(rough_scene, flat, (wanted, false));
         }
-        let mut near = Self::from_state(rough_scene, flat, wanted)?;
+        let mut near = Self::from_state(rough_scene, flat, (wanted, false))?;
         near.settle(rough_scene, ROUGH_STEPS)?;
         let heights = rough.heights.len();
         let mut shape = vec![0.0; scene.basis.len()];
         shape[..heights].copy_from_slice(&near.state.shape[..heights]);
         let stretches = Effect::Stretch.range(scene.basis);
         shape[stretches].copy_from_slice(&near.state.shape[heights..]);
-        let mut next = Self::from_state(scene, EffectsState { shape, ..near.state }, wanted)?;
+        // Offsets of their own make the equations large: where smooth shapes and motion leave nothing
+        // that they would explain, they are left out.
+        let basis = Rc::clone(&near.basis);
+        let narrow = near.narrowed(rough_scene, &basis);
+        let noise_square = near.reduced(narrow, &near.variances)?.noise_square(&near.state);
+        let own =
+            hints::own_offsets_stand_out(&near.system, noise_square) || wanted.shape_for_certain;
+        let state = EffectsState { shape, ..near.state };
+        let mut next = Self::from_state(scene, state, (wanted, own))?;
         for (effect, lambda) in &mut next.variances.0 {
             // What the rough shapes hid comes back sooner from too wide a variance.
             *lambda = near.variances.of(*effect).map_or(*lambda, |found| found.min(*lambda));
@@ -203,13 +211,18 @@ impl EffectSearch {
         Some(next)
     }
 
-    /// With all effects that are wanted, in a scene that has all of them.
-    fn from_state(scene: Scene<'_>, mut state: EffectsState, wanted: Wanted) -> Option<Self> {
+    /// With all effects that are wanted, in a scene that has all of them; `own` for offsets of each
+    /// point too.
+    fn from_state(
+        scene: Scene<'_>,
+        mut state: EffectsState,
+        (wanted, own): (Wanted, bool),
+    ) -> Option<Self> {
         let mut effects: Vec<Effect> = Vec::new();
         if wanted.shape {
             effects.extend(scene.basis.height_groups().into_iter().map(Effect::Height));
             effects.push(Effect::Stretch);
-            effects.extend(scene.basis.has_own.then_some(Effect::Own));
+            effects.extend((scene.basis.has_own && own).then_some(Effect::Own));
         }
         if wanted.motion {
             effects.extend([Effect::Rotation, Effect::Translation]);
@@ -236,7 +249,7 @@ impl EffectSearch {
             shape_for_certain: false,
             motion_for_certain: false,
         };
-        Self::from_state(scene, flat, none)
+        Self::from_state(scene, flat, (none, false))
     }
 
     /// At the minimum with corners chosen anew, with the same effects.

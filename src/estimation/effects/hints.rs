@@ -24,19 +24,20 @@ pub(super) fn plausible(fit: &CameraFit, [_, rows]: [f64; 2], wanted: Wanted) ->
     let state = EffectsState::flat_and_still(plain, basis, observations.len());
     let system = System::at(scene, &state)?;
     let noise_square = fit.noise_square();
-    let stands_out =
-        |square: f64, count: f64| square / noise_square > count + HINT * (2.0 * count).sqrt();
     let smooth = smooth_shape(&system, layout.len)
-        .is_none_or(|square| stands_out(square, basis.len() as f64));
-    let (own, count) = own_offsets(&system);
-    let shape = smooth || stands_out(own, count);
-    let motion = stands_out(motion(&system), 6.0 * good.len() as f64);
+        .is_none_or(|square| stands_out(square / noise_square, basis.len() as f64));
+    let shape = smooth || own_offsets_stand_out(&system, noise_square);
+    let motion = stands_out(motion(&system) / noise_square, 6.0 * good.len() as f64);
     let wanted = Wanted {
         shape: wanted.shape && (shape || wanted.shape_for_certain),
         motion: wanted.motion && (motion || wanted.motion_for_certain),
         ..wanted
     };
     (wanted.shape || wanted.motion).then_some(wanted)
+}
+
+fn stands_out(square: f64, count: f64) -> bool {
+    square > count + HINT * (2.0 * count).sqrt()
 }
 
 /// gᵀ H⁻¹ g of the smooth shapes, lens and poses eliminated.
@@ -62,10 +63,9 @@ fn motion(system: &System) -> f64 {
     system.views.iter().filter_map(of_view).sum()
 }
 
-/// What the same offset in every view would explain, point by point, with how many such offsets
-/// there are.
-fn own_offsets(system: &System) -> (f64, f64) {
+/// Whether what the same offset in every view would explain, point by point, is more than chance.
+pub(super) fn own_offsets_stand_out(system: &System, noise_square: f64) -> bool {
     let seen = || system.own_scores.iter().filter(|score| score[2] > 0.0 && score[3] > 0.0);
-    let square = seen().map(|[x, y, xx, yy]| x * x / xx + y * y / yy).sum();
-    (square, 2.0 * seen().count() as f64)
+    let square: f64 = seen().map(|[x, y, xx, yy]| x * x / xx + y * y / yy).sum();
+    stands_out(square / noise_square, 2.0 * seen().count() as f64)
 }
