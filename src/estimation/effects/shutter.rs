@@ -44,7 +44,7 @@ impl EffectSearch {
             control.settle(by_columns, steps)?;
             let (columns, views) = control.evidences(by_columns)?;
             let of_views = views_by_rows.iter().zip(views).map(|(rows, columns)| rows - columns);
-            ReadByRows::of(rows - columns, of_views.collect(), asked)
+            ReadByRows::of(rows - columns, &of_views.collect::<Vec<f64>>(), asked)
         };
         let first = against(FIRST_STEPS, CLEARLY)?;
         if first.is_shown { Some(first) } else { against(MAX_STEPS - FIRST_STEPS, 1.0) }
@@ -78,7 +78,7 @@ impl EffectSearch {
 impl ReadByRows {
     /// From how much more evidence there is for rows than for columns, in all and view by view;
     /// shown where it is `asked` times what must be. `None` of no views.
-    fn of(favor: f64, of_views: Vec<f64>, asked: f64) -> Option<Self> {
+    fn of(favor: f64, of_views: &[f64], asked: f64) -> Option<Self> {
         let typical = median(of_views.iter().map(|one: &f64| one.abs()).collect())?;
         let of_views: Vec<f64> =
             of_views.iter().map(|one| one.clamp(-MOST * typical, MOST * typical)).collect();
