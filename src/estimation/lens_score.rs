@@ -15,12 +15,12 @@ use crate::estimation::problem::{CameraOptions, CameraProblem};
 use crate::estimation::robust::Loss;
 use crate::geometry::lens::LensModel;
 
-/// A gain beyond its expectation by this many standard deviations of chance tells that a larger model
+/// A gain beyond its expectation by this many standard deviations of chance says that a larger model
 /// is to be asked: of 136 simulated lenses of the model asked for gains went up to 17, of real lenses
 /// that are too simple from 76 on.
 const BEYOND_CHANCE: f64 = 8.0;
 
-/// Of fewer views a step does not tell: halves of 13 photographs whose lens is too simple showed no
+/// Of fewer views a step says too little: halves of 13 photographs whose lens is too simple showed no
 /// gain beyond chance where fits of larger models predicted views better.
 const MIN_VIEWS: usize = 8;
 
@@ -28,7 +28,7 @@ const MIN_VIEWS: usize = 8;
 const MAX_POINTS: usize = 600;
 
 /// Whether a lens of `model` could explain what `fit`, of a smaller model, leaves. Where a step does
-/// not tell, it could. `stated` are the observations with the board as it was stated.
+/// not say, it could. `stated` are the observations with the board as it was stated.
 pub(crate) fn could_fit_better(
     model: LensModel,
     (fit, stated): (&CameraFit, &[BoardObservation]),

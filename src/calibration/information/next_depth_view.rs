@@ -9,7 +9,7 @@ use crate::calibration::information::depth_teaching::{DepthNow, DepthTeaching};
 use crate::calibration::information::teaching::Teaching;
 use crate::calibration::information::view_information::ViewNormal;
 use crate::calibration::information::view_search::{
-    Candidate, Lesson, LessonFigures, SearchSize, find_view,
+    Lesson, LessonCandidate, LessonFigures, SearchSize, find_view,
 };
 use crate::geometry::pose::Pose;
 
@@ -57,12 +57,12 @@ impl Lesson for DepthLesson<'_> {
         &self.now.known
     }
 
-    fn view(&self, _image: usize, holding: &Holding) -> Option<Candidate<BeforeColor>> {
+    fn view(&self, _image: usize, holding: &Holding) -> Option<LessonCandidate<BeforeColor>> {
         let view = self.space.view(holding)?;
         let (camera_from_board, likely) = (view.camera_from_board, view.likely);
         let normal = ViewNormal::of(self.space.lens, &camera_from_board, &view.corners);
         let view = BeforeColor { camera_from_board, normal };
-        Some(Candidate { view, camera_from_board, likely })
+        Some(LessonCandidate { view, camera_from_board, likely })
     }
 
     fn information(&self, view: &BeforeColor) -> Option<Self::Information> {

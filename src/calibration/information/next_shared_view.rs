@@ -8,7 +8,7 @@ use crate::calibration::information::pair_information::PairInformation;
 use crate::calibration::information::transfer_goal::TransferGoal;
 use crate::calibration::information::view_information::ViewNormal;
 use crate::calibration::information::view_search::{
-    Candidate, Lesson, LessonFigures, SearchSize, find_view,
+    Lesson, LessonCandidate, LessonFigures, SearchSize, find_view,
 };
 use crate::geometry::pose::Pose;
 
@@ -58,7 +58,7 @@ impl Lesson for PairLesson<'_> {
         &self.known.matrix
     }
 
-    fn view(&self, image: usize, holding: &Holding) -> Option<Candidate<BeforeBoth>> {
+    fn view(&self, image: usize, holding: &Holding) -> Option<LessonCandidate<BeforeBoth>> {
         let own = self.spaces[image].view(holding)?;
         let other_from_camera = [self.known.b_from_a, self.known.b_from_a.inverse()][image];
         let place = other_from_camera * own.camera_from_board;
@@ -71,7 +71,7 @@ impl Lesson for PairLesson<'_> {
         let camera_from_board = views.map(|view| view.camera_from_board);
         let first_from_board = camera_from_board[0];
         let view = BeforeBoth { camera_from_board, normals };
-        Some(Candidate { view, camera_from_board: first_from_board, likely })
+        Some(LessonCandidate { view, camera_from_board: first_from_board, likely })
     }
 
     fn information(&self, view: &BeforeBoth) -> Option<DMatrix<f64>> {

@@ -8,7 +8,7 @@ use crate::calibration::information::lens_information::LensInformation;
 use crate::calibration::information::projection_goal::ProjectionGoal;
 use crate::calibration::information::view_information::view_information;
 use crate::calibration::information::view_search::{
-    Candidate, Lesson, LessonFigures, SearchSize, find_view,
+    Lesson, LessonCandidate, LessonFigures, SearchSize, find_view,
 };
 use crate::estimation::uncertainty::CompensatedSamples;
 use crate::geometry::pixel::Pixel;
@@ -55,10 +55,10 @@ impl Lesson for LensLesson<'_> {
         self.known
     }
 
-    fn view(&self, _image: usize, holding: &Holding) -> Option<Candidate<CandidateView>> {
+    fn view(&self, _image: usize, holding: &Holding) -> Option<LessonCandidate<CandidateView>> {
         let view = self.space.view(holding)?;
         let (camera_from_board, likely) = (view.camera_from_board, view.likely);
-        Some(Candidate { view, camera_from_board, likely })
+        Some(LessonCandidate { view, camera_from_board, likely })
     }
 
     fn information(&self, view: &CandidateView) -> Option<DMatrix<f64>> {

@@ -27,7 +27,7 @@ pub(super) trait Lesson {
 
     /// The view of a board that is held so in one of the images; `None` where it cannot be asked
     /// for.
-    fn view(&self, image: usize, holding: &Holding) -> Option<Candidate<Self::View>>;
+    fn view(&self, image: usize, holding: &Holding) -> Option<LessonCandidate<Self::View>>;
 
     /// What it would add; `None` where it says nothing.
     fn information(&self, view: &Self::View) -> Option<Self::Information>;
@@ -53,7 +53,7 @@ pub(super) struct LessonFigures {
 
 /// A view that can be asked for.
 #[derive(Debug, Clone)]
-pub(super) struct Candidate<View> {
+pub(super) struct LessonCandidate<View> {
     pub(super) view: View,
     /// Where the board would be before the first camera.
     pub(super) camera_from_board: Pose,
@@ -92,8 +92,8 @@ const COUNTED: u32 = 12;
 /// held otherwise, or where corners and planes scatter twice as far as few views let expect.
 const PARTS: [f64; 2] = [1.0, 0.25];
 
-struct Scored<L: Lesson> {
-    candidate: Candidate<L::View>,
+struct ScoredView<L: Lesson> {
+    candidate: LessonCandidate<L::View>,
     /// Which image the board is placed in, and how it is held there.
     placed: (usize, Holding),
     information: L::Information,
@@ -109,15 +109,15 @@ pub(super) fn find_view<L: Lesson>(
     (from, goal_px): (Option<&Pose>, Option<f64>),
 ) -> Option<FoundView<L>> {
     let now_px = lesson.uncertainty_px(lesson.known())?.criterion;
-    let score = |image: usize, holding: &Holding| -> Option<Scored<L>> {
+    let score = |image: usize, holding: &Holding| -> Option<ScoredView<L>> {
         let candidate = lesson.view(image, holding)?;
         let information = lesson.information(&candidate.view)?;
         let after = lesson.uncertainty_px(&lesson.after(lesson.known(), &information, 1.0))?;
         let drop = 1.0 - after.criterion / now_px.max(f64::MIN_POSITIVE);
         let score = candidate.likely * drop;
-        Some(Scored { candidate, placed: (image, *holding), information, score })
+        Some(ScoredView { candidate, placed: (image, *holding), information, score })
     };
-    let mut scored: Vec<Scored<L>> = Vec::new();
+    let mut scored: Vec<ScoredView<L>> = Vec::new();
     for image in 0..L::IMAGES {
         let sequence = (0..size.sequence).map(Holding::of_sequence);
         let all = sequence.chain((0..size.in_corners).map(Holding::in_corner));
@@ -131,11 +131,11 @@ pub(super) fn find_view<L: Lesson>(
     scored.sort_by(|a, b| b.score.total_cmp(&a.score));
     let least = AS_GOOD * scored.first()?.score;
     let as_good = scored.iter().take_while(|scored| scored.score >= least);
-    let effort = |scored: &Scored<L>| {
+    let effort = |scored: &ScoredView<L>| {
         let there = &scored.candidate.camera_from_board;
         from.map_or(0.0, |from| effort(from, there, lesson.middle()))
     };
-    let by_effort = |(_, a): &(usize, &Scored<L>), (_, b): &(usize, &Scored<L>)| {
+    let by_effort = |(_, a): &(usize, &ScoredView<L>), (_, b): &(usize, &ScoredView<L>)| {
         effort(a).total_cmp(&effort(b))
     };
     let chosen = as_good.enumerate().min_by(by_effort)?.0;
@@ -144,7 +144,7 @@ pub(super) fn find_view<L: Lesson>(
         scored.iter().step_by(stride).take(SHORTLIST).map(|scored| &scored.information).collect();
     let views_to_go =
         goal_px.map(|goal_px| PARTS.map(|part| views_to_go(lesson, (&shortlist, part), goal_px)));
-    let Scored { candidate, information, .. } = scored.swap_remove(chosen);
+    let ScoredView { candidate, information, .. } = scored.swap_remove(chosen);
     Some(FoundView { view: candidate.view, information, views_to_go })
 }
 
