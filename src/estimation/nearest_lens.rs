@@ -55,13 +55,15 @@ pub(crate) fn nearest_lens(
     Some(near)
 }
 
-/// The distortion of a lens in a model that holds it, or where a search for one begins.
+/// The distortion of a lens in a larger model that holds it, or where a search for one begins.
 fn nested(lens: &Lens, model: LensModel) -> Option<Distortion> {
-    match lens.distortion.as_rational() {
-        Some(coefficients) if model == LensModel::Rational => {
-            Distortion::from_coefficients(model, &coefficients)
+    let start = Distortion::start(model);
+    match (lens.distortion.as_rational(), start.as_rational()) {
+        (Some(coefficients), Some(_)) => {
+            let held = coefficients.get(..start.coefficients().len())?;
+            Distortion::from_coefficients(model, held)
         }
-        _ => Some(Distortion::start(model)),
+        _ => Some(start),
     }
 }
 

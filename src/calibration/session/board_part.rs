@@ -211,8 +211,8 @@ impl BoardPart {
         self.newest_ns = seen.frame.time_ns();
         let admission = self.admit(seen, taught);
         let is_known = admission.as_ref().is_err_and(Rejection::is_known_already);
-        if let (true, Some(shown)) = (is_known, &camera_from_board) {
-            self.refuse(&seen.frame, shown);
+        if let (true, Some(camera_from_board)) = (is_known, &camera_from_board) {
+            self.refuse(&seen.frame, camera_from_board);
         }
         self.obstacle.note(&admission);
         if let Err(rejection) = &admission {
@@ -224,13 +224,15 @@ impl BoardPart {
 
     /// What was shown is not worth keeping: if that is about where a view is asked for, and the
     /// board rests there, it would not be again, and another one is asked for.
-    fn refuse(&mut self, frame: &FrameFacts, shown: &Pose) {
+    fn refuse(&mut self, frame: &FrameFacts, camera_from_board: &Pose) {
         let Some(teaching) = self.teaching.as_ref().filter(|_| !self.asked_to_share) else {
             return;
         };
         let asked = self.requested.as_ref().map(|asked| asked.camera_from_board);
-        let asked = asked.filter(|asked| teaching.effort(shown, asked) < ARRIVED);
-        let Some(asked) = asked.filter(|_| self.awaited(frame, shown).is_none()) else { return };
+        let asked = asked.filter(|asked| teaching.effort(camera_from_board, asked) < ARRIVED);
+        let Some(asked) = asked.filter(|_| self.awaited(frame, camera_from_board).is_none()) else {
+            return;
+        };
         self.teaching.iter_mut().for_each(|teaching| teaching.refuse(asked));
         self.suggest();
     }
