@@ -88,6 +88,8 @@ const AS_GOOD: f64 = 0.9;
 const SHORTLIST: usize = 12;
 /// So many views are gone through one by one; beyond, information grows by as much with each.
 const COUNTED: u32 = 12;
+/// So many views are none that anybody shows.
+const UNREACHABLE: u32 = 1_000_000;
 /// How much views teach, relative to what is expected of them: as much, or a quarter where they are
 /// held otherwise, or where corners and planes scatter twice as far as few views let expect.
 const PARTS: [f64; 2] = [1.0, 0.25];
@@ -166,7 +168,7 @@ fn views_to_go<L: Lesson>(
             .map(|view| lesson.after(&known, view, part))
             .filter_map(|after| Some((figures(&after)?.figure, after)))
             .min_by(|a, b| a.0.total_cmp(&b.0));
-        let Some((after_px, after)) = next else { return u32::MAX };
+        let Some((after_px, after)) = next else { return UNREACHABLE };
         figures_px.push(after_px);
         known = after;
     }
@@ -180,5 +182,9 @@ fn more_views(figures_px: &[f64], goal_px: f64) -> u32 {
     let [before, last] = [figures_px[middle], figures_px[figures_px.len() - 1]].map(|f| f.powi(-2));
     let each = (last - before) / (figures_px.len() - 1 - middle) as f64;
     let more = (goal_px.powi(-2) - last) / each;
-    if more.is_finite() { more.ceil().clamp(1.0, 1e6) as u32 } else { 1_000_000 }
+    if more.is_finite() {
+        more.ceil().clamp(1.0, f64::from(UNREACHABLE)) as u32
+    } else {
+        UNREACHABLE
+    }
 }

@@ -63,17 +63,7 @@ pub(crate) fn linearize_observation(
     columns: &mut Columns,
     (residuals, local): (&mut [[f64; 2]], &mut LocalEquations),
 ) -> bool {
-    let multiplied = true;
-    Arch::new().dispatch(ObservationRef {
-        layout,
-        state,
-        observation,
-        loss,
-        columns,
-        residuals,
-        local,
-        multiplied,
-    })
+    visit((layout, state), observation, loss, columns, (residuals, local, true))
 }
 
 /// As [`linearize_observation`], without the products of its columns: of `local` only the cost is
@@ -85,7 +75,16 @@ pub(crate) fn differentiate_observation(
     columns: &mut Columns,
     (residuals, local): (&mut [[f64; 2]], &mut LocalEquations),
 ) -> bool {
-    let multiplied = false;
+    visit((layout, state), observation, loss, columns, (residuals, local, false))
+}
+
+fn visit(
+    (layout, state): (&Layout, &State),
+    observation: &BoardObservation,
+    loss: Loss,
+    columns: &mut Columns,
+    (residuals, local, multiplied): (&mut [[f64; 2]], &mut LocalEquations, bool),
+) -> bool {
     Arch::new().dispatch(ObservationRef {
         layout,
         state,
