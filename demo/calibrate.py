@@ -13,7 +13,7 @@ ADDRESS = "http://127.0.0.1:8600"
 REQUEST = {
     "target": {"kind": "chessboard", "cols": 9, "rows": 6, "square_m": 0.025},
     "lens": "brown",
-    "finish": {"uncertainty_px": 0.05, "min_views": 20, "max_seconds": 60},
+    "finish": {"uncertainty_px": 0.05, "min_views": 15, "max_seconds": 60},
 }
 GUIDED = {**REQUEST, "finish": {"uncertainty_px": 0.02, "min_views": 20, "max_seconds": 60}}
 
