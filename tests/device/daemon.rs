@@ -165,31 +165,47 @@ impl Daemon {
     }
 }
 
-/// What is reported of a camera, in order.
+/// What is reported of a camera and its sessions, in order.
 pub struct CameraEvents(Lines<BufReader<Box<dyn Read>>>);
 
 impl CameraEvents {
     /// Waits until the camera is said to be in this state for a reason with these words in it; the
     /// reason.
     pub fn until(&mut self, state: &str, words: &str) -> String {
+        let reason = |camera: &Value| camera["reason"].as_str().unwrap_or_default().to_owned();
+        let camera = self.find("camera", &format!("{state} for {words}"), |camera| {
+            camera["state"] == state && reason(camera).contains(words)
+        });
+        reason(&camera)
+    }
+
+    /// Waits until a session is said to wait for its camera, or to go on; the session.
+    pub fn until_session(&mut self, waits: bool) -> Value {
+        self.find("session", if waits { "waits" } else { "goes on" }, |session| {
+            let reason = session["reason"].as_str();
+            reason.is_some_and(|reason| reason.starts_with("waits for the camera: ")) == waits
+        })
+    }
+
+    /// The next event of this kind of which `condition` holds.
+    fn find(&mut self, kind: &str, what: &str, condition: impl Fn(&Value) -> bool) -> Value {
         let began = Instant::now();
-        let mut is_camera = false;
+        let mut is_kind = false;
         for line in self.0.by_ref() {
             let line = line.unwrap();
             match line.split_once(": ") {
-                Some(("event", name)) => is_camera = name == "camera",
-                Some(("data", text)) if is_camera => {
-                    let camera: Value = serde_json::from_str(text).unwrap();
-                    let reason = camera["reason"].as_str().unwrap_or_default();
-                    if camera["state"] == state && reason.contains(words) {
-                        return reason.to_owned();
+                Some(("event", name)) => is_kind = name == kind,
+                Some(("data", text)) if is_kind => {
+                    let event: Value = serde_json::from_str(text).unwrap();
+                    if condition(&event) {
+                        return event;
                     }
                 }
                 _ => {}
             }
-            assert!(began.elapsed() < LIMIT, "in vain: {state} for {words}");
+            assert!(began.elapsed() < LIMIT, "in vain: {kind} {what}");
         }
-        panic!("the events ended while waiting for {state}");
+        panic!("the events ended while waiting: {kind} {what}");
     }
 }
 

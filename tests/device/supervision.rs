@@ -89,19 +89,15 @@ pub fn every_fault_is_a_state_with_a_reason_and_the_session_goes_on() -> String 
     let session =
         daemon.post("/v1/cameras/vivid/sessions", &target)["id"].as_str().unwrap().to_owned();
     let session = || daemon.get(&format!("/v1/sessions/{session}"));
+    let mut sessions = daemon.camera_events("vivid");
 
     let mut before = None;
     for fault in &FAULTS {
         let seen = frames(&session());
         (fault.begin)();
         reported.push(format!("{}: {}", fault.name, events.until("lost", fault.reported)));
-        let waiting = daemon.wait_for("the session says that it waits", || {
-            let says = |session: &serde_json::Value| {
-                let reason = session["reason"].as_str();
-                reason.is_some_and(|reason| reason.starts_with("waits for the camera: "))
-            };
-            Some(session()).filter(says)
-        });
+        // As an event: asked for now and then, a short wait may be over before it is seen.
+        let waiting = sessions.until_session(true);
         assert!(
             waiting["state"] == "collecting" && frames(&waiting) >= seen,
             "{}: {waiting}",
@@ -112,6 +108,7 @@ pub fn every_fault_is_a_state_with_a_reason_and_the_session_goes_on() -> String 
         }
         (fault.end)();
         events.until("streaming", "");
+        sessions.until_session(false);
         daemon.wait_for("frames after the fault", || (frames(&session()) > seen).then_some(()));
         // The first fault fills what is kept for ever.
         let footprint = daemon.footprint();
