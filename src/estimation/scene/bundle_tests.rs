@@ -135,6 +135,23 @@ fn the_reduced_gradient_is_that_of_the_cost_at_the_best_points() {
 }
 
 #[test]
+fn a_focal_length_that_starts_far_off_is_found_within_sixty_steps() {
+    let (mut bundle, truth) = exact();
+    bundle.robust_limit = 2.4;
+    let minimum = |start: SceneState| {
+        bundle.minimize(start, BundleStop { max_steps: 60, least_decrease: 1e-12 }).lens.matrix.fx
+    };
+    let fx = minimum(truth.clone());
+    for factor in [0.7, 1.4, 1.8] {
+        let by = (factor - 1.0) * truth.lens.matrix.fx;
+        let start = changed(&truth, &Changed::Lens(0), by);
+        let start = changed(&start, &Changed::Lens(1), by);
+        let found = minimum(start);
+        assert!((found - fx).abs() < 0.01, "{factor} times: {found}, not {fx}");
+    }
+}
+
+#[test]
 fn a_descent_that_nobody_waits_for_ends_where_it_is() {
     let (mut bundle, truth) = exact();
     bundle.free = vec![0, 1];
