@@ -39,12 +39,17 @@ pub(super) struct ChartPair {
     pub weight: f64,
 }
 
-impl Chart {
-    /// Fitted to `pairs`; `None` of fewer than three or where they span no plane.
-    pub(super) fn fit(pairs: &[ChartPair]) -> Option<Self> {
-        if pairs.len() < 3 {
-            return None;
-        }
+/// A struct, not a closure: all of it must be inlined to be compiled for the processor.
+struct ChartFit<'a> {
+    pairs: &'a [ChartPair],
+}
+
+impl pulp::NullaryFnOnce for ChartFit<'_> {
+    type Output = Option<Chart>;
+
+    #[inline(always)]
+    fn call(self) -> Option<Chart> {
+        let Self { pairs } = self;
         let (mut total, mut middle, mut mean) = (0.0, [0.0; 2], [0.0; 2]);
         for pair in pairs {
             total += pair.weight;
@@ -56,13 +61,10 @@ impl Chart {
         let (middle, mean) = (middle.map(|v| v / total), mean.map(|v| v / total));
         let (mut spread, mut scale) = (0.0, 0.0);
         for pair in pairs {
-            let away = |[x, y]: [f64; 2], [to_x, to_y]: [f64; 2]| {
-                pair.weight * ((x - to_x).powi(2) + (y - to_y).powi(2))
-            };
-            spread += away(pair.place, middle);
-            scale += away(pair.pixel, mean);
+            spread += pair.weight * squared_distance(pair.place, middle);
+            scale += pair.weight * squared_distance(pair.pixel, mean);
         }
-        let [spread, scale] = [spread, scale].map(|sum| (sum / total).sqrt().max(1e-6));
+        let [spread, scale] = [spread, scale].map(|sum: f64| (sum / total).sqrt().max(1e-6));
         let mut equations = HomographyEquations::flat(FLATNESS * total);
         for pair in pairs {
             let place = [0, 1].map(|k| (pair.place[k] - middle[k]) / spread);
@@ -70,7 +72,19 @@ impl Chart {
             equations.take(place, pixel, pair.weight);
         }
         let h = equations.solve()?;
-        Some(Self { h, middle, spread, mean, scale, reach: 0 })
+        Some(Chart { h, middle, spread, mean, scale, reach: 0 })
+    }
+}
+
+#[inline(always)]
+fn squared_distance([x, y]: [f64; 2], [to_x, to_y]: [f64; 2]) -> f64 {
+    (x - to_x).powi(2) + (y - to_y).powi(2)
+}
+
+impl Chart {
+    /// Fitted to `pairs`; `None` of fewer than three or where they span no plane.
+    pub(super) fn fit(pairs: &[ChartPair]) -> Option<Self> {
+        if pairs.len() < 3 { None } else { pulp::Arch::new().dispatch(ChartFit { pairs }) }
     }
 
     /// Fitted to the crossings of `grid` nearest to the place (x, y), those on line `without` left
@@ -92,15 +106,16 @@ impl Chart {
                 (lines[0][slot], lines[1][slot]) = (sheets.line(i + off), sheets.line(j + off));
             }
             for dj in -reach..=reach {
-                for di in -reach..=reach {
-                    let ring = di.abs().max(dj.abs());
-                    if ring <= inner || Some((i + di, j + dj)) == without {
+                let dy = lines[1][(FARTHEST + dj) as usize] - at[1];
+                for (k, pixel) in grid.pixels_on_line(j + dj, (i - reach, i + reach)) {
+                    let di = k - i;
+                    let is_new = di.abs() > inner || dj.abs() > inner;
+                    if !is_new || Some((k, j + dj)) == without {
                         continue;
                     }
-                    let Some(pixel) = grid.pixel(i + di, j + dj) else { continue };
                     let place =
                         [lines[0][(FARTHEST + di) as usize], lines[1][(FARTHEST + dj) as usize]];
-                    let away = (place[0] - at[0]).powi(2) + (place[1] - at[1]).powi(2);
+                    let away = (place[0] - at[0]).powi(2) + dy.powi(2);
                     pairs.push(ChartPair {
                         place: place.map(f64::from),
                         pixel: [f64::from(pixel.x), f64::from(pixel.y)],

@@ -9,7 +9,7 @@ use crate::detection::coded::ends::by_sides;
 use crate::detection::coded::held_crossing::HeldCrossing;
 use crate::detection::coded::labels::{BestLabel, BoardLabel, BoardLabels, contradicted_around};
 use crate::detection::coded::last_target::LastTarget;
-use crate::detection::coded::lattice::{LatticeGrowth, LatticeScene};
+use crate::detection::coded::lattice::{LARGEST_RADIUS, LatticeGrowth, LatticeScene};
 use crate::detection::coded::no_target::NoTarget;
 use crate::detection::coded::order::by_reach;
 use crate::detection::coded::reading::MarkerReading;
@@ -204,7 +204,7 @@ impl TargetDetector {
             let pyramid = std::mem::take(&mut self.pyramid);
             let view = pyramid.level(image, level);
             self.prepare(view, &mut Unlabeled::default());
-            largest.clear(0, true);
+            largest.clear(LARGEST_RADIUS, true);
             let mut starts = 0;
             for place in 0..self.order.len() {
                 let first = self.order[place].1;

@@ -4,16 +4,18 @@
 //! places: a third of the equations is zero, and a third is there twice. What is zero is left out
 //! and what is there twice is solved once, in the order in which Cholesky's method has it.
 
-/// Sums over pairs of a place and its pixel.
+/// Sums over pairs of a place and its pixel. Four sums that one factor multiplies lie beside each
+/// other: a processor adds them at once.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct HomographyEquations {
-    /// Of the three numbers of an axis among each other: the lower half.
-    places: [[f64; 3]; 3],
-    /// Of each of the last two numbers with those three, by axis.
-    slanted: [[[f64; 3]; 2]; 2],
+    /// Of the three numbers of an axis with each of themselves, by the second; the last is empty.
+    places: [[f64; 4]; 3],
+    /// Of those three, and for each of them of the last two numbers, each by axis.
+    slanted: [[f64; 4]; 3],
     /// Of the last two among each other: the lower half.
     slants: [[f64; 2]; 2],
-    right: [[f64; 3]; 2],
+    /// By axis; the last is empty.
+    right: [[f64; 4]; 2],
     right_of_slants: [f64; 2],
 }
 
@@ -24,37 +26,38 @@ impl HomographyEquations {
     }
 
     /// Adds a pair: (h₀i + h₁j + h₂)/(1 + h₆i + h₇j) = x, and the same of h₃, h₄, h₅ and y.
-    #[inline]
-    pub(super) fn take(&mut self, [i, j]: [f64; 2], pixel: [f64; 2], weight: f64) {
-        let terms = [i, j, 1.0];
-        let weighted = terms.map(|term| weight * term);
-        for (a, (row, weighted)) in self.places.iter_mut().zip(weighted).enumerate() {
-            for (place, term) in row.iter_mut().zip(terms).take(a + 1) {
-                *place += weighted * term;
+    #[inline(always)]
+    pub(super) fn take(&mut self, [i, j]: [f64; 2], [x, y]: [f64; 2], weight: f64) {
+        let weighted = [weight * i, weight * j, weight, 0.0];
+        let slants = [-i * x, -i * y, -j * x, -j * y];
+        let weighted_slants = slants.map(|slant| weight * slant);
+        for (b, term) in [i, j, 1.0].into_iter().enumerate() {
+            for a in 0..4 {
+                self.places[b][a] += weighted[a] * term;
+                self.slanted[b][a] += weighted_slants[a] * term;
             }
         }
-        for (axis, value) in pixel.into_iter().enumerate() {
-            let slants = [-i * value, -j * value];
-            for (right, weighted) in self.right[axis].iter_mut().zip(weighted) {
-                *right += weighted * value;
+        for (axis, value) in [x, y].into_iter().enumerate() {
+            for a in 0..4 {
+                self.right[axis][a] += weighted[a] * value;
             }
-            for (a, slant) in slants.into_iter().enumerate() {
-                let weighted = weight * slant;
-                self.right_of_slants[a] += weighted * value;
-                for (slanted, term) in self.slanted[a][axis].iter_mut().zip(terms) {
-                    *slanted += weighted * term;
-                }
-                for (sum, slant) in self.slants[a].iter_mut().zip(slants).take(a + 1) {
-                    *sum += weighted * slant;
-                }
-            }
+            let [[p, q], [weighted_p, weighted_q]] =
+                [slants, weighted_slants].map(|of| [of[axis], of[2 + axis]]);
+            self.right_of_slants[0] += weighted_p * value;
+            self.right_of_slants[1] += weighted_q * value;
+            self.slants[0][0] += weighted_p * p;
+            self.slants[1][0] += weighted_q * p;
+            self.slants[1][1] += weighted_q * q;
         }
     }
 
     /// The eight numbers; `None` if the pairs do not determine them.
     pub(super) fn solve(self) -> Option<[f64; 8]> {
-        let Self { places: mut l, slanted: mut below, slants: mut last, .. } = self;
-        let Self { right: mut h, right_of_slants: mut g, .. } = self;
+        let Self { places, slanted, slants: mut last, right, right_of_slants: mut g } = self;
+        // The lower half of the three numbers' sums, and the others by number, axis and term.
+        let mut l = [0, 1, 2].map(|row| [0, 1, 2].map(|col| places[col][row]));
+        let mut below = [0, 1].map(|a| [0, 1].map(|k| [0, 1, 2].map(|b| slanted[b][2 * a + k])));
+        let mut h = right.map(|[a, b, c, _]| [a, b, c]);
         for j in 0..3 {
             for k in 0..j {
                 for row in j..3 {

@@ -43,7 +43,7 @@ impl LatticeGrowth {
         grid: &mut Grid,
         spare: &mut Grid,
     ) {
-        grid.clear(0, true);
+        grid.clear(LARGEST_RADIUS, true);
         let mut most = 0;
         for (first, bright) in starts(scene, seed) {
             spare.clear(LARGEST_RADIUS, bright);

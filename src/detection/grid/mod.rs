@@ -141,6 +141,21 @@ impl Grid {
         self.slot(i, j).and_then(|slot| self.places[slot].node.as_ref()).map(|node| node.pixel)
     }
 
+    /// The corners on line `j` from `first` to `last`: for each its i, and where it is.
+    #[inline]
+    pub(in crate::detection) fn pixels_on_line(
+        &self,
+        j: i32,
+        (first, last): (i32, i32),
+    ) -> impl Iterator<Item = (i32, Vec2)> {
+        let (first, last) = (first.max(-self.radius), last.min(self.radius));
+        let length = usize::try_from(last - first + 1).unwrap_or(0);
+        let start = self.slot(first, j).filter(|_| length > 0);
+        let line = start.and_then(|start| self.places.get(start..start + length));
+        let corners = line.unwrap_or_default().iter().zip(first..);
+        corners.filter_map(|(slot, i)| Some((i, slot.node.as_ref()?.pixel)))
+    }
+
     /// Sets the corner (i, j).
     pub(in crate::detection) fn set(&mut self, i: i32, j: i32, node: Node) {
         if let Some(slot) = self.slot(i, j)
@@ -355,6 +370,23 @@ mod tests {
         assert_eq!(grid.predict(7, 7), None);
         assert_eq!(grid.bounds().map(|b| (b.width(), b.height())), Some((4, 3)));
         assert!(grid.polarity(1, 0) < 0.0 && grid.polarity(1, 1) > 0.0);
+    }
+
+    #[test]
+    fn a_line_has_the_corners_within_its_ends_in_order() {
+        let mut grid = Grid::default();
+        grid.clear(3, true);
+        for i in [-3, 0, 1, 3] {
+            grid.set(i, -1, node(i as f32, 2.0));
+        }
+        let on_line = |j: i32, ends: (i32, i32)| -> Vec<(i32, f32)> {
+            grid.pixels_on_line(j, ends).map(|(i, pixel)| (i, pixel.x)).collect()
+        };
+        assert_eq!(on_line(-1, (-9, 9)), [(-3, -3.0), (0, 0.0), (1, 1.0), (3, 3.0)]);
+        assert_eq!(on_line(-1, (-2, 0)), [(0, 0.0)]);
+        for (j, ends) in [(0, (-3, 3)), (4, (-3, 3)), (-1, (4, 9)), (-1, (-9, -4))] {
+            assert_eq!(on_line(j, ends), []);
+        }
     }
 
     #[test]
