@@ -6,7 +6,7 @@ use crate::detection::coded::answer::{LabeledCorner, TargetDetection};
 use crate::detection::coded::detector::TargetDetector;
 use crate::detection::coded::held_crossing::HeldCrossing;
 use crate::detection::coded::labels::BoardLabel;
-use crate::detection::coded::lattice::{CURVED, LatticeScene, expect_curved, settle};
+use crate::detection::coded::lattice::{CURVED, LatticeScene, expect_curved, off_lines, settle};
 use crate::detection::coded::print::LabeledPrint;
 use crate::detection::grid::Node;
 use crate::detection::grid::in_steps;
@@ -15,6 +15,10 @@ use crate::detection::refine::GridCorner;
 use crate::detection::thresholds::Thresholds;
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
+
+/// The part of a limit within which a crossing is however intervals are measured: those between
+/// its neighbors and those of a homography are not twice as large as each other.
+const WELL_WITHIN: f32 = 0.5;
 
 impl TargetDetector {
     /// The detection of the board that lies in `grid` as `label` says, found on `level`.
@@ -36,7 +40,8 @@ impl TargetDetector {
         }
         self.refine(image, label);
         self.drop_displaced();
-        if !self.drop_misplaced(self.thresholds.marker_corners.most_refined_off) {
+        let most = self.thresholds.marker_corners.most_refined_off;
+        if !self.drop_farthest(most, Self::hold_on_lines) {
             return None;
         }
         Some(self.detection(label)).filter(|detection| {
@@ -86,6 +91,15 @@ impl TargetDetector {
     /// Drops the crossing that lies farthest from where the others put it, until all lie within
     /// `most`. False if too many must go. Where they lie is left in `held`.
     pub(super) fn drop_misplaced(&mut self, most: f32) -> bool {
+        self.drop_farthest(most, Self::hold)
+    }
+
+    /// The same, each crossing held against the others by `hold`.
+    fn drop_farthest(
+        &mut self,
+        most: f32,
+        hold: fn(&mut Self, (i32, i32), f32) -> HeldCrossing,
+    ) -> bool {
         let limits = self.thresholds.marker_corners;
         let budget = (limits.most_misplaced * self.grid.members.len() as f32) as usize + 1;
         let mut held = std::mem::take(&mut self.held);
@@ -96,7 +110,7 @@ impl TargetDetector {
             let mut worst = (most, None);
             for (index, crossing) in held.iter_mut().enumerate() {
                 if !crossing.is_current {
-                    *crossing = self.hold(crossing.at, most);
+                    *crossing = hold(self, crossing.at, most);
                 }
                 if crossing.off > worst.0 {
                     worst = (crossing.off, Some(index));
@@ -142,6 +156,17 @@ impl TargetDetector {
         let off = if node.tight { off / suspect_share } else { off };
         let off_px = (node.pixel - expected).amax();
         HeldCrossing { off, off_px, steps: Some(steps), ..held }
+    }
+
+    /// The same where only those beyond `most` matter: a crossing that is well within that of where
+    /// the lines beside it go on is not, wherever a homography puts it, which takes ten times as long.
+    fn hold_on_lines(&mut self, at: (i32, i32), most: f32) -> HeldCrossing {
+        let is_suspect = self.grid.get(at.0, at.1).is_none_or(|node| node.tight);
+        let is_near = |off: f32| off <= WELL_WITHIN * most;
+        if !is_suspect && off_lines(&self.sheets, &self.grid, at).is_some_and(is_near) {
+            return HeldCrossing { reach: CURVED, is_current: true, ..HeldCrossing::unknown(at) };
+        }
+        self.hold(at, most)
     }
 
     /// Makes guesses of the crossings in `held`, for the refinement.

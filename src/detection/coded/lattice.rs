@@ -253,6 +253,24 @@ pub(super) fn expect_curved(sheets: &Sheets, grid: &Grid, (i, j): (i32, i32)) ->
     (count > 0.0).then(|| sum / count)
 }
 
+/// How far the crossing (i, j) lies from where the lines that end beside it put it, in narrow
+/// intervals as its neighbors on them have these.
+pub(super) fn off_lines(sheets: &Sheets, grid: &Grid, (i, j): (i32, i32)) -> Option<f32> {
+    let narrow = sheets.widths[0].min(sheets.widths[1]);
+    let cell = |di: i32, dj: i32| {
+        let at =
+            |k: i32| Some((sheets.line(i * di + j * dj + k), grid.pixel(i + k * di, j + k * dj)?));
+        let ((first, p), (last, q)) = match (at(-1), at(1)) {
+            (Some(before), Some(after)) => (before, after),
+            (None, after) => (at(0)?, after?),
+            (before, None) => (before?, at(0)?),
+        };
+        Some((q - p) * (narrow / (last - first)))
+    };
+    let off = grid.pixel(i, j)? - expect_curved(sheets, grid, (i, j))?;
+    in_steps(off, [cell(1, 0)?, cell(0, 1)?]).map(|off| off.amax())
+}
+
 /// The crossing at `expected`, wherever exactly it settles in windows that end short of what is
 /// beyond white and black around it.
 pub(super) fn settle(
