@@ -10,6 +10,7 @@ use crate::detection::coded::held_crossing::HeldCrossing;
 use crate::detection::coded::labels::{BestLabel, BoardLabel, BoardLabels, contradicted_around};
 use crate::detection::coded::last_target::LastTarget;
 use crate::detection::coded::lattice::{LARGEST_RADIUS, LatticeGrowth, LatticeScene};
+use crate::detection::coded::meeting_sides::MeetingSides;
 use crate::detection::coded::no_target::NoTarget;
 use crate::detection::coded::order::by_reach;
 use crate::detection::coded::reading::MarkerReading;
@@ -57,6 +58,7 @@ pub struct TargetDetector {
     pub(super) guesses: Vec<GridCorner>,
     pub(super) refined: Vec<Option<RefinedCorner>>,
     pub(super) refiner: Refiner,
+    pub(super) meeting: MeetingSides,
     pub(super) last: LastTarget,
 }
 
@@ -137,6 +139,7 @@ impl TargetDetector {
             held: Vec::new(),
             guesses: Vec::new(),
             refined: Vec::new(),
+            meeting: MeetingSides::default(),
             last: LastTarget::default(),
             thresholds,
         })

@@ -44,7 +44,7 @@ impl TargetDetector {
         if !self.drop_farthest(most, Self::hold_on_lines) {
             return None;
         }
-        Some(self.detection(label)).filter(|detection| {
+        Some(self.detection(image, label)).filter(|detection| {
             detection.corners.len() >= self.thresholds.marker_corners.least_corners
         })
     }
@@ -262,7 +262,7 @@ impl TargetDetector {
         curved.map_or(f32::MAX, off_px).min(off_px(expected)) > most_px
     }
 
-    fn detection(&self, label: BoardLabel) -> TargetDetection {
+    fn detection(&mut self, image: GrayView<'_>, label: BoardLabel) -> TargetDetection {
         let mut blurs = Vec::new();
         let mut corners: Vec<LabeledCorner> = Vec::with_capacity(self.guesses.len());
         for (guess, refined) in self.guesses.iter().zip(&self.refined) {
@@ -276,6 +276,11 @@ impl TargetDetector {
                 .map_or(self.thresholds.marker_corners.standing_std_px, |refined| refined.std_px);
             corners.push(self.labeled(label, guess.index, (pixel, std_px)));
         }
+        blurs.sort_unstable_by(f64::total_cmp);
+        let blur_px = blurs.get(blurs.len() / 2).copied().unwrap_or(0.0);
+        let meeting = self.meeting_points(image, label, blur_px);
+        let met = meeting.iter().map(|it| self.labeled(label, it.at, (it.pixel, it.std_px)));
+        corners.extend(met);
         self.answer(label, corners, blurs)
     }
 

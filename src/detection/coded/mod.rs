@@ -15,6 +15,7 @@
 //! | ends | `ends` | which of two places it is, where only the board's ends distinguish them |
 //! | print | `print`, `curved_chart` | what the markers add to the image near each crossing, for the refinement |
 //! | detector | `detector`, `finish` | levels, completion by the labeled board, refinement |
+//! | meeting sides | `meeting_sides`, `edge_line` | corners that something small lies on, from the sides that meet in them |
 //! | other scales | `other_scales` | two thirds of each level and twice the image, where the levels show no target |
 //! | tracking | `tracking`, `offset_search` | the board of the last image, a little farther on |
 //! | recognition | `recognition` | which board it is, where none was asked for |
@@ -27,6 +28,7 @@ mod chart;
 mod code_columns;
 mod curved_chart;
 pub mod detector;
+mod edge_line;
 mod ends;
 mod finish;
 mod held_crossing;
@@ -34,6 +36,7 @@ mod homography_equations;
 mod labels;
 mod last_target;
 mod lattice;
+mod meeting_sides;
 pub mod no_target;
 mod offset_search;
 mod open_square;
