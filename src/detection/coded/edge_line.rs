@@ -7,8 +7,8 @@ use crate::detection::measure::cross::Vec2;
 use crate::detection::measure::edges::sample;
 use crate::imaging::gray::GrayView;
 
-/// Places along an edge in which it is measured, and how many of them must agree: half, fewer may be
-/// something else's edge.
+/// Places along an edge in which it is measured, and how many of them must agree: half, fewer may
+/// be something else's edge.
 pub(super) const PLACES: usize = 12;
 const LEAST_PLACES: usize = PLACES / 2;
 /// Samples across an edge in each place.
@@ -16,7 +16,8 @@ const ACROSS: usize = 16;
 /// Samples at either end of these that are black or white alone.
 const OUTER: usize = ACROSS / 4;
 /// The part of an edge's contrast by which one place's black or white may differ from the median.
-/// From 0.1 to 0.15 the same corners are answered; from 0.25 on, some under glare that are 1 px off.
+/// From 0.1 to 0.15 the same corners are answered; from 0.25 on, some under glare that are 1 px
+/// off.
 const MOST_UNEVEN: f32 = 0.15;
 /// The median distance from a median, in standard deviations of a normal distribution.
 pub(super) const DEVIATIONS: f32 = 0.6745;

@@ -159,7 +159,8 @@ impl TargetDetector {
     }
 
     /// The same where only those beyond `most` matter: a crossing that is well within that of where
-    /// the lines beside it go on is not, wherever a homography puts it, which takes ten times as long.
+    /// the lines beside it go on is not, wherever a homography puts it. That takes ten times as
+    /// long.
     fn hold_on_lines(&mut self, at: (i32, i32), most: f32) -> HeldCrossing {
         let is_suspect = self.grid.get(at.0, at.1).is_none_or(|node| node.tight);
         let is_near = |off: f32| off <= WELL_WITHIN * most;

@@ -290,8 +290,8 @@ impl MeetingSides {
     }
 }
 
-/// How far off a line is of which one side or both are measured, and the variance of that; `None` if
-/// they contradict each other.
+/// How far off a line is of which one side or both are measured; `None` if they contradict each
+/// other.
 fn combined(sides: [Option<MeasuredSide>; 2], scatter: SideScatter) -> Option<Offset> {
     let pinned = |side: MeasuredSide| side.pinned(scatter.bias_px);
     match sides.map(|side| side.map(pinned)) {
