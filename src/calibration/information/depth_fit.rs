@@ -27,9 +27,13 @@ type PlaneView<'a> = (&'a TaughtView, &'a [DepthTile]);
 
 /// As in the solve: the first round finds what lies off the plane.
 const ROUNDS: usize = 2;
-const STEPS: usize = 8;
-/// A step that changes the cost by less than this part is the last.
+const STEPS: usize = 20;
+/// A step that lowers half the sum of squares by less than this a view is the last.
 const SETTLED: f64 = 1e-4;
+/// The diagonal grows by this part at first …
+const FIRST_DAMPING: f64 = 1e-3;
+/// … and by so many times as much after a step that does not lower the cost.
+const DAMPING_FACTOR: f64 = 10.0;
 /// Residual limit of an inlier tile, in standard deviations.
 const LIMIT: f64 = 6.0;
 /// The standard deviation of normal numbers is their median size over this.
@@ -52,40 +56,73 @@ pub(super) fn fit_depth(
         used: views.iter().map(|(_, tiles)| vec![true; tiles.len()]).collect(),
     };
     for _ in 0..ROUNDS {
-        let mut before = f64::INFINITY;
-        for _ in 0..STEPS {
-            let (step, lowered) = fitted.step(prior, views)?;
-            let Some(next) = fitted.depth.stepped(&step) else { break };
-            fitted.depth = next;
-            fitted.moved += &step;
-            if lowered >= before * 4.0 {
-                return None;
-            }
-            before = lowered;
-            if lowered < SETTLED {
-                break;
-            }
-        }
+        fitted.settle(prior, views)?;
         fitted.judge(views)?;
     }
     Some(fitted)
 }
 
+/// The normal equations of all views together, the boards' poses eliminated.
+struct DepthEquations {
+    normal: DMatrix<f64>,
+    gradient: DVector<f64>,
+    /// Half the sum of squares where the boards are best placed.
+    cost: f64,
+}
+
 impl FittedDepth {
-    /// The next step, and by how much it lowers the cost per view.
-    fn step(&self, prior: &DMatrix<f64>, views: &[PlaneView<'_>]) -> Option<(DVector<f64>, f64)> {
+    /// Steps by Levenberg and Marquardt until the cost falls no more: far from the answer, or in
+    /// directions that few views leave open, a whole step of Gauss and Newton overshoots.
+    fn settle(&mut self, prior: &DMatrix<f64>, views: &[PlaneView<'_>]) -> Option<()> {
+        for (at, (taught, tiles)) in views.iter().enumerate() {
+            if self.normal((*taught, *tiles), &self.used[at]).is_none() {
+                self.used[at].fill(false);
+            }
+        }
+        let mut now = self.equations(prior, views)?;
+        let mut damping = FIRST_DAMPING;
+        for _ in 0..STEPS {
+            let mut damped = now.normal.clone();
+            (0..damped.nrows()).for_each(|k| damped[(k, k)] *= 1.0 + damping);
+            let step = -(inverse(&damped)? * &now.gradient);
+            let next = self.stepped(&step);
+            let after = next.as_ref().and_then(|next| next.equations(prior, views));
+            match next.zip(after).filter(|(_, after)| after.cost < now.cost) {
+                Some((next, after)) => {
+                    let lowered = now.cost - after.cost;
+                    (*self, now, damping) = (next, after, damping / DAMPING_FACTOR);
+                    if lowered < SETTLED * views.len() as f64 {
+                        break;
+                    }
+                }
+                None if -step.dot(&now.gradient) < SETTLED * views.len() as f64 => break,
+                None => damping *= DAMPING_FACTOR,
+            }
+        }
+        Some(())
+    }
+
+    fn stepped(&self, step: &DVector<f64>) -> Option<Self> {
+        let depth =
+            step.iter().all(|value| value.is_finite()).then(|| self.depth.stepped(step))??;
+        Some(Self { depth, moved: &self.moved + step, used: self.used.clone(), ..*self })
+    }
+
+    fn equations(&self, prior: &DMatrix<f64>, views: &[PlaneView<'_>]) -> Option<DepthEquations> {
         let mut normal = prior.clone();
         let mut gradient = prior * &self.moved;
+        let mut cost = 0.5 * self.moved.dot(&gradient);
         for ((taught, tiles), used) in views.iter().zip(&self.used) {
-            let Some(planes) = self.normal((*taught, *tiles), used) else { continue };
+            // A step out of what the lens sees is none.
+            let planes = self.normal((*taught, *tiles), used)?;
             let inverse = inverse_of_pose(&(taught.normal().by_pose + planes.by_pose))?;
             let through = &planes.coupling * inverse;
             normal += &planes.by_depth - &through * planes.coupling.transpose();
             gradient += &planes.gradient - through * planes.pose_gradient;
+            let explained = planes.pose_gradient.dot(&(inverse * planes.pose_gradient));
+            cost += 0.5 * (planes.squares - explained);
         }
-        let step = -(inverse(&normal)? * &gradient);
-        let lowered = -step.dot(&gradient) / views.len().max(1) as f64;
-        step.iter().all(|value| value.is_finite()).then_some((step, lowered))
+        cost.is_finite().then_some(DepthEquations { normal, gradient, cost })
     }
 
     fn normal(&self, (taught, tiles): PlaneView<'_>, used: &[bool]) -> Option<PlaneNormal> {

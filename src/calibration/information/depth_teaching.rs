@@ -2,8 +2,9 @@
 //! its error, and of where color sees what it measures. Follows from the frames alone, as what
 //! color has been taught.
 //!
-//! The depth camera is fitted anew whenever the views with depth have grown by a third, with color's
-//! poses held as well as their corners hold them; in between information only adds up.
+//! The depth camera is fitted anew whenever the views with depth have grown by a third or color's
+//! lens was estimated anew, with color's poses held as well as their corners hold them; in between
+//! information only adds up.
 
 use nalgebra::{DMatrix, Point3};
 
@@ -36,6 +37,8 @@ pub struct DepthTeaching {
     depth: PlacedDepth,
     views: Vec<MeasuredView>,
     estimated_among: usize,
+    /// Color's lens at that estimate.
+    estimated_beside: Option<Lens>,
     /// By how much tiles scatter more than their readings do, and neighbors together.
     scatter: [f64; 2],
     pub(super) noise: DepthTileNoise,
@@ -105,6 +108,7 @@ impl DepthTeaching {
             guess,
             views: Vec::new(),
             estimated_among: 0,
+            estimated_beside: None,
             scatter: [1.0; 2],
             noise: DepthTileNoise::default(),
             now: None,
@@ -203,7 +207,8 @@ impl DepthTeaching {
     pub fn sum_up(&mut self, color: &Teaching) {
         let count = self.views.len();
         let grown = count as f64 >= GROWTH * self.estimated_among as f64;
-        if count >= LEAST_VIEWS && grown && color.is_estimated() {
+        let is_due = grown || self.estimated_beside != Some(*color.lens());
+        if count >= LEAST_VIEWS && is_due && color.is_estimated() {
             self.estimate(color);
         }
         self.now = self.known(color);
@@ -336,6 +341,7 @@ impl DepthTeaching {
             view.into_iter().for_each(|view| view.few = few(&view.tiles, &used));
         }
         self.estimated_among = self.views.len();
+        self.estimated_beside = Some(*color.lens());
         self.noise.learn(self.views.iter().map(|view| (view.z_m, view.tiles.as_slice())));
     }
 }

@@ -33,6 +33,8 @@ pub struct SuggestedView {
     /// How many more views reach the goal: as few as this if each is as suggested, as many as that
     /// if each teaches a quarter as much. `None` without a goal.
     pub views_to_go: Option<[u32; 2]>,
+    /// It is asked for on behalf of a depth camera beside this one, which is known less.
+    pub is_for_depth: bool,
 }
 
 const SIZE: SearchSize =
@@ -101,5 +103,6 @@ pub fn suggest_view(
         drop: goal.drop(&now, &after),
         information: found.information,
         views_to_go: found.views_to_go,
+        is_for_depth: false,
     })
 }

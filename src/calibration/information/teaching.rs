@@ -153,6 +153,7 @@ impl Teaching {
             drop: self.goal.drop(now, &after),
             information,
             views_to_go,
+            is_for_depth: false,
         })
     }
 

@@ -99,8 +99,14 @@ fn note(suggested: &SuggestedView, views: usize, now: &Now<'_>) -> Option<String
     }
     let ([few, _], goal_px) = (suggested.views_to_go?, now.goal_px?);
     (views >= VIEWS_BEFORE_DOUBT && few > now.room).then(|| {
+        // Corners place the board far better than depth measures it.
+        let (what, mends) = if suggested.is_for_depth {
+            (" where color sees what depth measures", "a larger board or a greater goal brings")
+        } else {
+            ("", "a larger board, sharper images or more light bring")
+        };
         format!(
-            "{goal_px} px cannot be reached like this, it would take {few} more views: a larger board, sharper images or more light bring it nearer"
+            "{goal_px} px{what} cannot be reached like this, it would take {few} more views: {mends} it nearer"
         )
     })
 }

@@ -142,6 +142,7 @@ impl DepthPart {
         let asked = asked.map(|asked| SuggestedView {
             uncertainty_px: next.uncertainty_px,
             expected_uncertainty_px: next.expected_uncertainty_px,
+            is_for_depth: true,
             ..asked
         });
         asked.or(own)

@@ -53,6 +53,8 @@ pub struct PlaneNormal {
     pub coupling: DMatrix<f64>,
     /// Over the pose.
     pub by_pose: Matrix6<f64>,
+    /// The sum of squared residuals, in variances.
+    pub squares: f64,
     /// Of half the sum of squares, by the depth camera's parameters …
     pub gradient: DVector<f64>,
     /// … and by the pose.
@@ -208,6 +210,7 @@ impl PlaneNormal {
         is_seen.then(|| Self {
             coupling,
             by_pose: Matrix6::from_fn(|a, b| hessian[a][b]),
+            squares: equations.cost,
             gradient: equations.global_gradient.clone(),
             pose_gradient: Vector6::from(gradient),
             by_depth: equations.global,
