@@ -175,6 +175,25 @@ fn another_board_in_its_place_is_not_taken_for_it() {
 }
 
 #[test]
+fn a_smaller_board_in_its_place_is_answered_as_by_a_search() {
+    for (asked, shown) in [("7x6", "7x5"), ("7x6", "6x6"), ("9x6", "8x6"), ("5x4", "4x4")] {
+        for (seed, allow_partial) in (0..16).flat_map(|seed| [(seed, false), (seed, true)]) {
+            let mut stream = Stream::new(7000 + seed, asked.parse().unwrap());
+            let mut detector = Detector::new(stream.board);
+            let board = stream.board;
+            search(&mut detector, &stream.scene(None));
+            stream.board = shown.parse().unwrap();
+            let scene = stream.scene(None);
+            let options = DetectOptions { allow_partial };
+            let tracked = detector.track_board(scene.image.view(), &options).ok();
+            let searched = Detector::new(board).find_board(scene.image.view(), &options).ok();
+            assert!(tracked.as_ref().is_none_or(|it| !it.followed), "{asked} as {shown}, {seed}");
+            assert_eq!(tracked.map(|it| it.detection), searched, "{asked} as {shown}, {seed}");
+        }
+    }
+}
+
+#[test]
 fn the_same_images_give_the_same_bits() {
     let walk = || {
         let mut stream = Stream::new(3000, "9x6".parse().unwrap());
