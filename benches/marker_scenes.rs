@@ -6,6 +6,7 @@ use std::error::Error;
 use image::GrayImage as Luma;
 use image::codecs::jpeg::{JpegDecoder, JpegEncoder};
 use nalgebra::{Matrix3, Vector3};
+use plumb::detection::coded::answer::{LabeledCorner, TargetDetection};
 use plumb::detection::coded::detector::TargetDetector;
 use plumb::detection::thresholds::Thresholds;
 use plumb::geometry::dictionary::Dictionary;
@@ -27,12 +28,20 @@ const PAPER_M: f64 = 0.02;
 /// A corner farther off than this is wrong, in pixels.
 const WRONG_PX: f64 = 1.5;
 
-/// An image of one board, and the corners to be seen in it.
+/// How far the board moves from an image to the next, in units of half the image's width.
+const STEP: f64 = 0.01;
+
+/// Two images of one board, between which it moves.
 pub struct MarkerScene {
     asked: Target,
-    /// Whether the board searched for is the one in the image.
+    /// Whether the board searched for is the one in the images.
     pub same_board: bool,
-    image: GrayImage,
+    images: [MarkerImage; 2],
+}
+
+/// An image, and the corners to be seen in it.
+struct MarkerImage {
+    pixels: GrayImage,
     /// Each corner by its id, and whether it is to be seen.
     corners: Vec<(u32, Pixel, bool)>,
 }
@@ -155,21 +164,33 @@ pub fn draw_marker_scene(random: &mut ChaCha8Rng) -> Result<MarkerScene, Box<dyn
     let slanted = Matrix3::new(scale * c, -scale * s, 0.0, scale * s, scale * c, 0.0, u, v, 1.0);
     let [mx, my] = [print.width_m / 2.0, print.height_m / 2.0];
     let centered = Matrix3::new(1.0, 0.0, -mx, 0.0, 1.0, -my, 0.0, 0.0, 1.0);
-    let moved = Matrix3::new(1.0, 0.0, aside_x, 0.0, 1.0, aside_y, 0.0, 0.0, 1.0);
-    let ideal_from_sheet = moved * slanted * centered;
-    let place = |at: Vector3<f64>| disturbed.pixel(at.x / at.z, at.y / at.z);
-    let corners = (0..shown.corner_count() as u32)
-        .filter_map(|slot| {
-            let [cols, _] = shown.corners_each_way();
-            let id = shown.corner_id(slot % cols, slot / cols);
-            let truth = print.corner(&shown, id)?;
-            let pixel = place(ideal_from_sheet * Vector3::new(truth.x, truth.y, 1.0));
-            Some((id, pixel, disturbed.is_seen(pixel)))
-        })
-        .collect();
-    let image = render(&print, &disturbed, ideal_from_sheet, random)?;
+    let mut image = |step: f64| -> Result<MarkerImage, Box<dyn Error>> {
+        let [x, y] = [aside_x + step, aside_y + step];
+        let moved = Matrix3::new(1.0, 0.0, x, 0.0, 1.0, y, 0.0, 0.0, 1.0);
+        let ideal_from_sheet = moved * slanted * centered;
+        let corners = corners_in(&shown, (&print, &disturbed), ideal_from_sheet);
+        Ok(MarkerImage { pixels: render(&print, &disturbed, ideal_from_sheet, random)?, corners })
+    };
+    let images = [image(0.0)?, image(STEP)?];
     let same_board = random.random_range(0..8) > 0;
-    Ok(MarkerScene { asked: if same_board { shown } else { other }, same_board, image, corners })
+    Ok(MarkerScene { asked: if same_board { shown } else { other }, same_board, images })
+}
+
+/// Where the corners of the board are in an image, and whether each is to be seen.
+fn corners_in(
+    shown: &Target,
+    (print, disturbed): (&PrintedBoard, &Disturbance),
+    ideal_from_sheet: Matrix3<f64>,
+) -> Vec<(u32, Pixel, bool)> {
+    let place = |at: Vector3<f64>| disturbed.pixel(at.x / at.z, at.y / at.z);
+    let [cols, _] = shown.corners_each_way();
+    let corners = (0..shown.corner_count() as u32).filter_map(|slot| {
+        let id = shown.corner_id(slot % cols, slot / cols);
+        let truth = print.corner(shown, id)?;
+        let pixel = place(ideal_from_sheet * Vector3::new(truth.x, truth.y, 1.0));
+        Some((id, pixel, disturbed.is_seen(pixel)))
+    });
+    corners.collect()
 }
 
 /// The print as a raster of white and black, with paper around it; its size in cells.
@@ -234,24 +255,41 @@ fn render(
 impl MarkerScene {
     /// Corners to be seen of the board searched for.
     pub fn to_be_seen(&self) -> usize {
-        if self.same_board { self.corners.iter().filter(|corner| corner.2).count() } else { 0 }
+        if !self.same_board {
+            return 0;
+        }
+        self.images[0].corners.iter().filter(|corner| corner.2).count()
     }
 
-    /// Adds what a detector with these thresholds finds.
+    /// Adds what a detector with these thresholds finds in the first image, and whether it tracks
+    /// that into the second one.
     pub fn search(&self, thresholds: Thresholds, score: &mut Score) {
-        let detector = TargetDetector::with_thresholds(self.asked, thresholds);
-        let Some(Ok(detection)) = detector.map(|mut it| it.find(self.image.view())) else { return };
-        let off = |id: u32, pixel: Pixel| {
-            let truth = self.corners.iter().find(|corner| corner.0 == id);
-            truth.map_or(f64::MAX, |(_, truth, _)| truth.distance_px(pixel))
+        let Some(mut detector) = TargetDetector::with_thresholds(self.asked, thresholds) else {
+            return;
         };
-        let offs: Vec<f64> =
-            detection.corners.iter().map(|corner| off(corner.id, corner.pixel)).collect();
-        if !self.same_board || offs.iter().any(|&off| off > WRONG_PX) {
+        let [first, second] = &self.images;
+        let Ok(found) = detector.track(first.pixels.view()) else { return };
+        let Some(offs) = self.right(first, &found.detection) else {
             score.wrong += 1;
             return;
-        }
+        };
         score.found += offs.len();
         score.squares += offs.iter().map(|off| off * off).sum::<f64>();
+        let Ok(tracked) = detector.track(second.pixels.view()) else { return };
+        match self.right(second, &tracked.detection) {
+            Some(_) => score.tracked += usize::from(tracked.followed),
+            None => score.wrong += 1,
+        }
+    }
+
+    /// How far off the corners that are answered are; `None` if one of them is wrong.
+    fn right(&self, image: &MarkerImage, answer: &TargetDetection) -> Option<Vec<f64>> {
+        let off = |corner: &LabeledCorner| {
+            let truth = image.corners.iter().find(|truth| truth.0 == corner.id);
+            truth.map_or(f64::MAX, |(_, truth, _)| truth.distance_px(corner.pixel))
+        };
+        let offs: Vec<f64> = answer.corners.iter().map(off).collect();
+        let is_right = self.same_board && offs.iter().all(|&off| off <= WRONG_PX);
+        is_right.then_some(offs)
     }
 }

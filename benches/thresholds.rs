@@ -3,10 +3,10 @@
 //!     cargo bench --bench thresholds -- --seed 1 --images 160 > docs/detection/thresholds.md
 //!
 //! The images are drawn at random from hard conditions: tilt, blur, noise, small squares, strong
-//! distortion, JPEG, an occluder, a board cut off by the border, another board. Each chessboard is
-//! searched for, and then tracked into a second image in which it has moved; boards with markers
-//! are searched for. Printed for each threshold: corners found of those to be seen, images
-//! answered wrongly (a corner more than 1.5 px off), the error of the corners, and boards tracked.
+//! distortion, JPEG, an occluder, a board cut off by the border, another board. Each board is
+//! searched for, and then tracked into a second image in which it has moved. Printed for each
+//! threshold: corners found of those to be seen, images answered wrongly (a corner more than 1.5 px
+//! off), the error of the corners, and boards tracked.
 
 #![expect(clippy::print_stdout, reason = "a benchmark prints what it measures")]
 
@@ -64,7 +64,8 @@ pub struct Score {
     pub found: usize,
     /// Images answered wrongly.
     pub wrong: usize,
-    tracked: usize,
+    /// Boards tracked into a second image.
+    pub tracked: usize,
     /// Sum of the squares of the corners' errors, in pixels squared.
     pub squares: f64,
 }
@@ -186,22 +187,19 @@ impl Scenes {
 }
 
 /// The change from `base`, as cells of a table; empty: no change.
-fn change(now: Score, base: Score, with_tracking: bool) -> String {
+fn change(now: Score, base: Score) -> String {
     let count = |now: usize, before: usize| match now as i64 - before as i64 {
         0 => String::new(),
         change => format!("{change:+}"),
     };
     let rms_px = now.rms_px() - base.rms_px();
     let rms_px = if rms_px.abs() < 5e-5 { String::new() } else { format!("{rms_px:+.4}") };
-    let mut cells = format!(
-        " | {} | {} | {rms_px}",
+    format!(
+        " | {} | {} | {rms_px} | {}",
         count(now.found, base.found),
-        count(now.wrong, base.wrong)
-    );
-    if with_tracking {
-        cells += &format!(" | {}", count(now.tracked, base.tracked));
-    }
-    cells
+        count(now.wrong, base.wrong),
+        count(now.tracked, base.tracked)
+    )
 }
 
 fn argument(name: &str, default: u64) -> u64 {
@@ -224,21 +222,22 @@ fn main() -> Result<(), Box<dyn Error>> {
         [("chessboards", seen[0], base[0]), ("boards with markers", seen[1], base[1])]
     {
         println!(
-            "- {kind}: {} of {seen} corners found, {} images answered wrongly, {:.4} px rms",
+            "- {kind}: {} of {seen} corners found, {} images answered wrongly, {:.4} px rms, \
+             {} tracked",
             score.found,
             score.wrong,
-            score.rms_px()
+            score.rms_px(),
+            score.tracked
         );
     }
     println!(
-        "- {} chessboards tracked\n\n\
-         The columns are the change of that, of chessboards and then of boards with markers (m.);\n\
-         empty: no change.\n",
-        base[0].tracked
+        "\nThe columns are the change of that, of chessboards and then of boards with markers\n\
+         (m.); empty: no change.\n"
     );
-    let columns = "corners | wrong | rms, px | tracked | m. corners | m. wrong | m. rms, px";
+    let columns = "corners | wrong | rms, px | tracked | \
+                   m. corners | m. wrong | m. rms, px | m. tracked";
     println!("| threshold | value | origin | × 0.8: {columns} | × 1.25: {columns} |");
-    println!("|{}", " --- |".repeat(17));
+    println!("|{}", " --- |".repeat(19));
     for entry in Thresholds::entries() {
         let mut row = format!("| `{}` | {} {} | ", entry.name, entry.value, entry.unit);
         row += match entry.origin {
@@ -248,8 +247,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         for factor in [0.8, 1.25] {
             let thresholds = Thresholds::DEFAULT.scaled(&entry.name, factor).ok_or("its name")?;
             let changed = scenes.scores(thresholds);
-            row += &change(changed[0], base[0], true);
-            row += &change(changed[1], base[1], false);
+            row += &change(changed[0], base[0]);
+            row += &change(changed[1], base[1]);
         }
         println!("{row} |");
     }
