@@ -19,6 +19,14 @@ pub(super) struct HomographyEquations {
     right_of_slants: [f64; 2],
 }
 
+/// Adds `terms` times `factor` to four sums.
+#[inline(always)]
+fn add(sums: &mut [f64; 4], terms: [f64; 4], factor: f64) {
+    for (sum, term) in sums.iter_mut().zip(terms) {
+        *sum += term * factor;
+    }
+}
+
 impl HomographyEquations {
     /// No pairs yet, but the assumption with so much weight that there is no perspective.
     pub(super) fn flat(weight: f64) -> Self {
@@ -32,15 +40,11 @@ impl HomographyEquations {
         let slants = [-i * x, -i * y, -j * x, -j * y];
         let weighted_slants = slants.map(|slant| weight * slant);
         for (b, term) in [i, j, 1.0].into_iter().enumerate() {
-            for a in 0..4 {
-                self.places[b][a] += weighted[a] * term;
-                self.slanted[b][a] += weighted_slants[a] * term;
-            }
+            add(&mut self.places[b], weighted, term);
+            add(&mut self.slanted[b], weighted_slants, term);
         }
         for (axis, value) in [x, y].into_iter().enumerate() {
-            for a in 0..4 {
-                self.right[axis][a] += weighted[a] * value;
-            }
+            add(&mut self.right[axis], weighted, value);
             let [[p, q], [weighted_p, weighted_q]] =
                 [slants, weighted_slants].map(|of| [of[axis], of[2 + axis]]);
             self.right_of_slants[0] += weighted_p * value;
