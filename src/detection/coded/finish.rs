@@ -279,7 +279,8 @@ impl TargetDetector {
         }
         blurs.sort_unstable_by(f64::total_cmp);
         let blur_px = blurs.get(blurs.len() / 2).copied().unwrap_or(0.0);
-        let meeting = self.meeting_points(image, label, blur_px);
+        let Self { meeting, sheets, grid, thresholds, .. } = self;
+        let meeting = meeting.points(image, (sheets, grid, label), thresholds, blur_px);
         let met = meeting.iter().map(|it| self.labeled(label, it.at, (it.pixel, it.std_px)));
         corners.extend(met);
         self.answer(label, corners, blurs)

@@ -11,7 +11,6 @@
 
 use crate::detection::board_detection::GridIndex;
 use crate::detection::coded::chart::{Chart, ChartPair};
-use crate::detection::coded::detector::TargetDetector;
 use crate::detection::coded::edge_line::{
     DEVIATIONS, EdgeLine, EdgePlaces, OUTLYING, Offset, PLACES, median,
 };
@@ -21,6 +20,7 @@ use crate::detection::coded::sheet::Sheets;
 use crate::detection::grid::{Grid, in_steps};
 use crate::detection::measure::cross::Vec2;
 use crate::detection::measure::edges::sample;
+use crate::detection::thresholds::Thresholds;
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
 
@@ -103,59 +103,6 @@ struct CornerChart {
     steps: [Vec2; 2],
 }
 
-impl TargetDetector {
-    /// The corners of the board that are not in `grid`, where their sides meet.
-    pub(super) fn meeting_points(
-        &mut self,
-        image: GrayView<'_>,
-        label: BoardLabel,
-        blur_px: f64,
-    ) -> Vec<MeetingPoint> {
-        let [across, down] = self.sheets.ways[label.way].lines;
-        let places = (0..down).flat_map(|row| (0..across).map(move |col| (col, row)));
-        let missing = places.map(|(col, row)| label.placement.in_grid(col, row));
-        let Self { sheets, grid, thresholds, meeting, .. } = self;
-        let limits = thresholds.marker_corners;
-        let scene = SideScene {
-            image,
-            sheets,
-            grid,
-            half: thresholds.lattice.reach * sheets.room,
-            half_px: (
-                thresholds.lattice.least_reach_px,
-                (BLURS * blur_px as f32 + 1.0).max(thresholds.lattice.least_reach_px),
-            ),
-        };
-        let narrow = sheets.widths[0].min(sheets.widths[1]);
-        let mut scatter = None;
-        let mut points = Vec::new();
-        for at in missing.filter(|&(i, j)| scene.is_between_known(i, j)) {
-            let Some(corner) = scene.corner(at, &mut meeting.pairs) else { continue };
-            if sample(image, corner.pixel).is_none() {
-                continue;
-            }
-            let Some(scatter) = *scatter.get_or_insert_with(|| meeting.scatter(scene)) else {
-                break;
-            };
-            let Some((pixel, std_px)) = meeting.meet(scene, &corner, scatter) else { continue };
-            let cell = corner.steps.map(|step| step * narrow);
-            let off =
-                |expected: Vec2| in_steps(pixel - expected, cell).map_or(f32::MAX, |o| o.amax());
-            let curved = expect_curved(sheets, grid, at).map_or(f32::MAX, off);
-            let is_near = off(corner.pixel).min(curved) <= limits.most_refined_off;
-            if is_near && std_px <= limits.standing_std_px as f32 && sample(image, pixel).is_some()
-            {
-                points.push(MeetingPoint {
-                    at: GridIndex { col: at.0, row: at.1 },
-                    pixel: Pixel::new(f64::from(pixel.x), f64::from(pixel.y)),
-                    std_px: f64::from(std_px).max(thresholds.marker_tracking.least_std_px),
-                });
-            }
-        }
-        points
-    }
-}
-
 impl SideScene<'_> {
     /// Whether the corner is missing and a side on each of its lines leads to a known one.
     fn is_between_known(&self, i: i32, j: i32) -> bool {
@@ -191,6 +138,57 @@ impl CornerChart {
 }
 
 impl MeetingSides {
+    /// The corners of the board that are not in `grid`, where their sides meet.
+    pub(super) fn points(
+        &mut self,
+        image: GrayView<'_>,
+        (sheets, grid, label): (&Sheets, &Grid, BoardLabel),
+        thresholds: &Thresholds,
+        blur_px: f64,
+    ) -> Vec<MeetingPoint> {
+        let [across, down] = sheets.ways[label.way].lines;
+        let places = (0..down).flat_map(|row| (0..across).map(move |col| (col, row)));
+        let missing = places.map(|(col, row)| label.placement.in_grid(col, row));
+        let limits = thresholds.marker_corners;
+        let scene = SideScene {
+            image,
+            sheets,
+            grid,
+            half: thresholds.lattice.reach * sheets.room,
+            half_px: (
+                thresholds.lattice.least_reach_px,
+                (BLURS * blur_px as f32 + 1.0).max(thresholds.lattice.least_reach_px),
+            ),
+        };
+        let narrow = sheets.widths[0].min(sheets.widths[1]);
+        let mut scatter = None;
+        let mut points = Vec::new();
+        for at in missing.filter(|&(i, j)| scene.is_between_known(i, j)) {
+            let Some(corner) = scene.corner(at, &mut self.pairs) else { continue };
+            if sample(image, corner.pixel).is_none() {
+                continue;
+            }
+            let Some(scatter) = *scatter.get_or_insert_with(|| self.scatter(scene)) else {
+                break;
+            };
+            let Some((pixel, std_px)) = self.meet(scene, &corner, scatter) else { continue };
+            let cell = corner.steps.map(|step| step * narrow);
+            let off =
+                |expected: Vec2| in_steps(pixel - expected, cell).map_or(f32::MAX, |o| o.amax());
+            let curved = expect_curved(sheets, grid, at).map_or(f32::MAX, off);
+            let is_near = off(corner.pixel).min(curved) <= limits.most_refined_off;
+            if is_near && std_px <= limits.standing_std_px as f32 && sample(image, pixel).is_some()
+            {
+                points.push(MeetingPoint {
+                    at: GridIndex { col: at.0, row: at.1 },
+                    pixel: Pixel::new(f64::from(pixel.x), f64::from(pixel.y)),
+                    std_px: f64::from(std_px).max(thresholds.marker_tracking.least_std_px),
+                });
+            }
+        }
+        points
+    }
+
     /// Measures a side of the corner.
     fn side(
         &mut self,
