@@ -6,7 +6,7 @@ use crate::calibration::scene::cropping::averaged_over_cropping;
 use crate::calibration::scene::fitted_lens::{FITTING, LensFit};
 use crate::calibration::scene::refusal::SceneRefusal;
 use crate::estimation::problem::LensChoice;
-use crate::estimation::scene::bundle::Bundle;
+use crate::estimation::scene::bundle::{Bundle, SceneState};
 use crate::estimation::scene::covariance::lens_covariance;
 use crate::estimation::scene::lens_prior::{COEFFICIENTS, SKEW};
 use crate::estimation::scene::reconstruction::Reconstruction;
@@ -41,14 +41,11 @@ fn choose(start: &Reconstruction, given: &[(String, f64)]) -> Result<LensFit, Sc
     };
     let mut fits: Vec<LensFit> = Vec::new();
     let mut refusal = SceneRefusal::NoFit;
-    let determined = |model: &LensModel| model.coefficient_names().len() <= MOST_COEFFICIENTS;
-    let mut compared: Vec<LensModel> =
-        LensModel::compared().filter(determined).filter(knows).collect();
+    let mut compared: Vec<LensModel> = determined_models().filter(knows).collect();
     // A smaller polynomial is a larger one with coefficients at exactly 0, as no lens has them: it
     // would leave the principal point to what tangential distortion does. Priors bound coefficients
     // that the images leave open.
-    let polynomials = compared.iter().copied().filter(|model| is_polynomial(start, *model));
-    let largest = polynomials.max_by_key(|model| model.coefficient_names().len());
+    let largest = largest_polynomial(start, &compared);
     compared.retain(|model| Some(*model) == largest || !is_polynomial(start, *model));
     compared.sort_by_key(|model| model.facts().auto_place);
     for model in compared {
@@ -89,6 +86,27 @@ fn choose(start: &Reconstruction, given: &[(String, f64)]) -> Result<LensFit, Sc
     let mut fit = fits.swap_remove(chosen);
     fit.covariance.matrix += spread;
     Ok(fit)
+}
+
+/// The models that scenes determine.
+fn determined_models() -> impl Iterator<Item = LensModel> {
+    LensModel::compared().filter(|model| model.coefficient_names().len() <= MOST_COEFFICIENTS)
+}
+
+fn largest_polynomial(start: &Reconstruction, models: &[LensModel]) -> Option<LensModel> {
+    let polynomials = models.iter().copied().filter(|model| is_polynomial(start, *model));
+    polynomials.max_by_key(|model| model.coefficient_names().len())
+}
+
+/// The bundle of `start` and its state, with distortion as freely estimated as scenes determine it.
+pub(super) fn with_free_distortion(start: &Reconstruction) -> (Bundle, SceneState) {
+    let (mut bundle, mut state) = (start.bundle.clone(), start.state.clone());
+    let models: Vec<LensModel> = determined_models().collect();
+    let lens = largest_polynomial(start, &models)
+        .and_then(|model| Lens::from_parameters(model, &first_guess(start, model)));
+    state.lens = lens.unwrap_or(state.lens);
+    bundle.free = (0..state.lens.parameters().len()).filter(|k| *k != SKEW).collect();
+    (bundle, state)
 }
 
 /// What the choice between models adds to the covariance of the chosen one's camera matrix: the

@@ -7,7 +7,7 @@ use crate::calibration::scene::conditions::SceneConditions;
 use crate::calibration::scene::correspondence::{ImagePairs, SceneImage, correspond};
 use crate::calibration::scene::fitted_lens::LensFit;
 use crate::calibration::scene::focal_lengths::{self, other_focals};
-use crate::calibration::scene::lens_fit::fit_lens;
+use crate::calibration::scene::lens_fit::{fit_lens, with_free_distortion};
 use crate::calibration::scene::localization::localize;
 use crate::calibration::scene::one_camera::{check_one_camera, states_cropping};
 use crate::calibration::scene::refusal::SceneRefusal;
@@ -15,7 +15,7 @@ use crate::calibration::scene::result::{SceneCalibration, ScenePoint, SceneSenso
 use crate::calibration::scene::verdict::{self, Evidence};
 use crate::estimation::interrupt::Interrupt;
 use crate::estimation::problem::LensChoice;
-use crate::estimation::scene::bundle::{Bundle, BundleStop, CameraMotion};
+use crate::estimation::scene::bundle::{BundleStop, CameraMotion};
 use crate::estimation::scene::hypotheses::reconstruct_best;
 use crate::estimation::scene::lens_prior::{COEFFICIENTS, CX, CY, FX, FY};
 use crate::estimation::scene::reconstruction::Reconstruction;
@@ -73,8 +73,8 @@ const ROTATED_OUTLIERS: f64 = 0.2;
 /// Pairs of images with an epipolar geometry that a reconstruction begins with at least.
 const LEAST_GENERAL: usize = 2;
 
-/// A rotation whose noise is less than this times that of a motion is what happened: distortion
-/// beyond its first coefficient raises it a little, parallax by tens of times.
+/// A rotation whose noise is less than this times that of a motion is what happened: what moves
+/// raises it a little, parallax by tens of times.
 const AS_WELL: f64 = 2.0;
 
 /// Cauchy's limit where both are compared, in standard deviations.
@@ -231,9 +231,9 @@ fn is_one_plane(found: &ImagePairs) -> bool {
 /// without, explain even noise a little better.
 fn explains_as_well(rotating: &Reconstruction, moving: &Reconstruction) -> bool {
     let noise = |of: &Reconstruction| {
-        let mut bundle = Bundle { free: vec![FX, FY, CX, CY, COEFFICIENTS], ..of.bundle.clone() };
-        bundle.robust_limit = ROBUST * bundle.median_noise(&of.state);
-        let state = bundle.minimize(of.state.clone(), COMPARING);
+        let (mut bundle, start) = with_free_distortion(of);
+        bundle.robust_limit = ROBUST * bundle.median_noise(&start);
+        let state = bundle.minimize(start, COMPARING);
         bundle.median_noise(&state)
     };
     let is_complete = rotating.images.len() >= moving.images.len();
