@@ -108,7 +108,7 @@ impl EdgePlaces {
         let slope = median(sorted, slopes[..count].iter().copied());
         let start = median(sorted, places.iter().map(|it| it.off - slope * it.along));
         let rest = |it: &EdgePlace| (it.off - start - slope * it.along).abs();
-        // With few places the median of what is left is too small (Rousseeuw and Leroy).
+        // With few places the median residual is too small (Rousseeuw and Leroy).
         let few = 1.0 + 5.0 / (count - 2) as f32;
         let most = OUTLYING * few * median(sorted, places.iter().map(rest)) / DEVIATIONS;
         places.retain(|it| rest(it) <= most);
