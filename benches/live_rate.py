@@ -5,9 +5,13 @@ people write with OpenCV, on the same frames.
     cargo build --release && target/venv/bin/python benches/live_rate.py --seconds 60
     target/venv/bin/python benches/live_rate.py --viewers 0,1,10 --seconds 20
     target/venv/bin/python benches/live_rate.py --memory 10000
+    target/venv/bin/python benches/live_rate.py --scenes
 
 The second has so many watch the preview, drawn over with what was found, beside the session.
 The third searches so many frames as fast as it can, in one session, and prints resident memory on the way.
+The fourth gives sessions without a board 120 new frames of 640x480 of each of three worlds, as fast as they can, and prints frames
+a second and the milliseconds of processor time that a frame takes: finding features and matching them to key frames, beside which
+solves run on a thread of their own.
 
 Prints a line of JSON for each: processor time per second of stream (1 = one core), the 99th percentile from a frame's
 arrival to what was seen in it, resident memory at the middle and the end, frames searched and lost.
@@ -31,6 +35,8 @@ ADDRESS = "127.0.0.1:8690"
 SCENE = "seed = 11\nframes = 300\nfps = 30\n[camera]\nwidth = 1280\nheight = 720\n"
 CAMERA = '[[camera]]\nname = "front"\nsource = {{ kind = "recording", path = "{path}", pace = "{pace}", repeat = true }}\n'
 TARGET = {"target": {"kind": "chessboard", "cols": 9, "rows": 6, "square_m": 0.025}, "lens": "brown"}
+WORLDS = {"room": "orbit", "facade": "sideways", "garden": "orbit"}
+WORLD = "seed = {seed}\nframes = {frames}\nfps = 30\n[scene]\nworld = \"{world}\"\npath = \"{path}\"\nimages = {frames}\n"
 
 
 def processor_seconds(pid):
@@ -62,8 +68,18 @@ def percentile_99(before, after):
     return next((le * 1000 for le in sorted(counts) if counts[le] >= 0.99 * max(counts.values())), None)
 
 
+def thread_seconds(pid, name):
+    """Processor time of the threads of a process that are called so."""
+    used = 0
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        thread, fields = (task / "stat").read_text().split("(", 1)[1].rsplit(") ", 1)
+        if thread == name:
+            used += sum(map(int, fields.split()[11:13]))
+    return used / os.sysconf("SC_CLK_TCK")
+
+
 @contextlib.contextmanager
-def session(plumb, recording, pace):
+def session(plumb, recording, pace, target=TARGET):
     """A daemon with a session on the recording, which is shown over and over."""
     with tempfile.TemporaryDirectory() as folder:
         config = Path(folder, "plumb.toml")
@@ -80,7 +96,7 @@ def session(plumb, recording, pace):
                     if time.monotonic() > deadline:
                         raise
                     time.sleep(0.1)
-            request("/v1/cameras/front/sessions", TARGET)
+            request("/v1/cameras/front/sessions", target)
             yield daemon
         finally:
             daemon.terminate()
@@ -102,6 +118,21 @@ def measure_memory(plumb, recording, frames):
             "frames_per_s": round(searched / (time.monotonic() - began), 1),
             "resident_mb": resident,
             "highest_mb": round(resident_mb(daemon.pid, "VmHWM"), 1),
+        }
+
+
+def measure_scene(plumb, recording, frames):
+    with session(plumb, recording, "fastest", {"target": {"kind": "scene"}}) as daemon:
+        began, searched = time.monotonic(), 0
+        while searched < frames:
+            time.sleep(0.05)
+            searched = metric(request("/metrics"), "plumb_frames_searched_total")
+        elapsed, used = time.monotonic() - began, thread_seconds(daemon.pid, "detect-front")
+        return {
+            "what": f"plumb, {recording.stem} without a board",
+            "frames": int(searched),
+            "frames_per_s": round(searched / elapsed, 1),
+            "ms_each": round(1000 * used / searched, 1),
         }
 
 
@@ -186,8 +217,17 @@ def main():
     parser.add_argument("--seconds", type=float, default=60)
     parser.add_argument("--viewers", metavar="N,N", help="measures beside so many who watch the preview, instead of OpenCV")
     parser.add_argument("--memory", type=int, metavar="FRAMES")
+    parser.add_argument("--scenes", action="store_true")
+    parser.add_argument("--seed", type=int, default=91, help="of the worlds of --scenes")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
+        if arguments.scenes:
+            for world, path in WORLDS.items():
+                scene, recording = Path(folder, f"{world}.toml"), Path(folder, f"{world}.mcap")
+                scene.write_text(WORLD.format(seed=arguments.seed, world=world, path=path, frames=120))
+                subprocess.run([arguments.plumb, "simulate", "--config", scene, "--out", recording], check=True, stdout=sys.stderr)
+                print(json.dumps(measure_scene(arguments.plumb, recording, 120)), flush=True)
+            return
         scene, recording = Path(folder, "scene.toml"), Path(folder, "street.mcap")
         scene.write_text(SCENE)
         subprocess.run([arguments.plumb, "simulate", "--config", scene, "--out", recording], check=True, stdout=sys.stderr)
