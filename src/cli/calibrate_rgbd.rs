@@ -173,9 +173,7 @@ impl<'a> RgbdGathering<'a> {
         let depth = match frames.set.frame(SensorKind::Depth).filter(|_| is_view) {
             Some(frame) => {
                 let image = DepthImage::from_frame(frame)
-                    .map_err(|error| Failure::failed(format!(
-                        "{path}: depth: {error}: give 16-bit PNG or PGM, and check that color and depth are not swapped"
-                    )))?;
+                    .map_err(|error| Failure::failed(format!("{path}: depth: {error}")))?;
                 self.same_size(image.size(), SensorKind::Depth, &path)?;
                 Some(image)
             }

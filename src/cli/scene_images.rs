@@ -83,9 +83,7 @@ fn scene_image(frames: &SourcedFrames) -> Result<ReadImage, String> {
     let mut luma = GrayImage::default();
     decode::luma(frame, &mut luma).map_err(|error| format!("{name}: {error}"))?;
     let depth = frames.set.frame(SensorKind::Depth).map(DepthImage::from_frame).transpose();
-    let depth = depth.map_err(|error| {
-        format!("{name}: depth: {error}: give 16-bit PNG or PGM, and check that color and depth are not swapped")
-    })?;
+    let depth = depth.map_err(|error| format!("{name}: depth: {error}"))?;
     let nominal_focal = nominal_focal(&frame.bytes, luma.size());
     let mut image = SceneImage::of(name, luma.view());
     image.stated = stated_camera(&frame.bytes);

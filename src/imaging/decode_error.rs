@@ -67,7 +67,15 @@ pub enum DecodeError {
         /// What it has.
         bytes: usize,
     },
-    /// Colors asked for as depth, or depth as an image.
+    /// Something else asked for as depth.
+    #[error(
+        "a {format} frame cannot be read as depth: give 16-bit PNG or PGM, and check that color and depth are not swapped"
+    )]
+    NotDepth {
+        /// The frame's pixel format.
+        format: &'static str,
+    },
+    /// Depth asked for as an image, or what is compressed as rows.
     #[error("a {format} frame cannot be read as {wanted}")]
     WrongKind {
         /// The frame's pixel format.

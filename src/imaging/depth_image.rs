@@ -27,7 +27,7 @@ impl DepthImage {
     /// [`DecodeError`] for what is no 16-bit image, or a damaged one.
     pub fn from_frame(frame: &Frame) -> Result<Self, DecodeError> {
         check_bytes(frame)?;
-        let wrong = DecodeError::WrongKind { format: frame.format.name(), wanted: "16-bit depth" };
+        let wrong = DecodeError::NotDepth { format: frame.format.name() };
         match frame.format {
             PixelFormat::Png => match png::decode(&frame.bytes)? {
                 image::DynamicImage::ImageLuma16(image) => {
@@ -123,9 +123,11 @@ mod tests {
             frame_from_file(SensorKind::Depth, b"P5 2 1 4095\n\x01\x02\xff\xfe".to_vec());
         assert_eq!(DepthImage::from_frame(&short).unwrap().readings(), [0x0102, 0xfffe]);
         short.bytes = short.bytes[..3].into();
-        for frame in [gray, short] {
+        // Only what is whole and no depth may be color in its place.
+        for (frame, may_be_color) in [(gray, true), (short, false)] {
             let line = DepthImage::from_frame(&frame).unwrap_err().to_string();
             assert!(!line.is_empty() && !line.contains('\n'), "{line}");
+            assert_eq!(line.contains("not swapped"), may_be_color, "{line}");
         }
     }
 }
