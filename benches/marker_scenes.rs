@@ -282,14 +282,18 @@ impl MarkerScene {
         }
     }
 
-    /// How far off the corners that are answered are; `None` if one of them is wrong.
+    /// How far off those corners are that are answered and to be seen; `None` if one that is
+    /// answered, covered ones too, is wrong.
     fn right(&self, image: &MarkerImage, answer: &TargetDetection) -> Option<Vec<f64>> {
         let off = |corner: &LabeledCorner| {
             let truth = image.corners.iter().find(|truth| truth.0 == corner.id);
-            truth.map_or(f64::MAX, |(_, truth, _)| truth.distance_px(corner.pixel))
+            truth.map_or((f64::MAX, false), |(_, truth, is_seen)| {
+                (truth.distance_px(corner.pixel), *is_seen)
+            })
         };
-        let offs: Vec<f64> = answer.corners.iter().map(off).collect();
-        let is_right = self.same_board && offs.iter().all(|&off| off <= WRONG_PX);
-        is_right.then_some(offs)
+        let offs: Vec<(f64, bool)> = answer.corners.iter().map(off).collect();
+        let is_right = self.same_board && offs.iter().all(|(off, _)| *off <= WRONG_PX);
+        let seen = offs.into_iter().filter(|(_, is_seen)| *is_seen);
+        is_right.then(|| seen.map(|(off, _)| off).collect())
     }
 }
