@@ -15,15 +15,16 @@ pub enum RgbdError {
     },
     /// Too few captures have the board's surface in depth.
     #[error(
-        "only {usable} of {all} views have the board in the depth image, 3 are needed{first}: check that depth and color are of the same device and moment"
+        "only {usable} of {all} views have the board in the depth image, 3 are needed{reasons}: check that depth and color are of the same device and moment"
     )]
     TooLittleDepth {
         /// How many.
         usable: usize,
         /// Of how many with the board in color.
         all: usize,
-        /// Why the first one has not, as `; view: reason`, or nothing.
-        first: String,
+        /// Why the others have not, as `; how many, as view: reason` each, the commonest first, or
+        /// nothing.
+        reasons: String,
     },
     /// Depth is a multiple of what the board says.
     #[error(

@@ -1,6 +1,9 @@
 //! What the joint solve of color, infrared and depth starts from: the sensors calibrated one by one,
 //! the board's motion, what disparity means, and the board's surface in every depth image.
 
+use std::cmp::Reverse;
+use std::mem::discriminant;
+
 use nalgebra::Point3;
 
 use crate::calibration::rgbd_error::RgbdError;
@@ -212,11 +215,9 @@ impl Guess {
             captures.push(index);
         }
         if with_depth < 3 {
-            let first = without_depth
-                .first()
-                .map(|(name, reason)| format!("; view `{name}`: {reason}"))
-                .unwrap_or_default();
-            return Err(RgbdError::TooLittleDepth { usable: with_depth, all: views.len(), first });
+            let (usable, all) = (with_depth, views.len());
+            let reasons = reasons(&without_depth);
+            return Err(RgbdError::TooLittleDepth { usable, all, reasons });
         }
         Ok(Measured { problem: self.problem(views), captures, without_depth })
     }
@@ -245,6 +246,23 @@ impl Guess {
             interrupt: Interrupt::default(),
         }
     }
+}
+
+/// Why views are without depth: each reason with how many have it and the first of them, the
+/// commonest first.
+fn reasons(without_depth: &[(String, NoPlane)]) -> String {
+    let mut each: Vec<(usize, &String, NoPlane)> = Vec::new();
+    for (name, reason) in without_depth {
+        let same = |(_, _, other): &&mut (usize, &String, NoPlane)| {
+            discriminant(other) == discriminant(reason)
+        };
+        match each.iter_mut().find(same) {
+            Some((count, ..)) => *count += 1,
+            None => each.push((1, name, *reason)),
+        }
+    }
+    each.sort_by_key(|(count, ..)| Reverse(*count));
+    each.iter().map(|(count, name, reason)| format!("; {count}, as `{name}`: {reason}")).collect()
 }
 
 /// The board's edge in the image of a depth camera with this lens at `depth_from_color`, `margin`
@@ -313,4 +331,20 @@ pub(super) fn same_view(lens: &Lens, lens_size: ImageSize, size: ImageSize) -> L
     let focal = lens.matrix.fx * scale;
     let center = size.center();
     Lens::pinhole(CameraMatrix { fx: focal, fy: focal, cx: center.x, cy: center.y, skew: 0.0 })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_commonest_reason_comes_first_with_its_first_view() {
+        let of = |name: &str, reason| (name.to_owned(), reason);
+        let [blank, holes] = [NoPlane::Blank { reading: 0 }, NoPlane::Holes { percent: 3 }];
+        let without = [of("a", NoPlane::Outside), of("b", blank), of("c", holes), of("d", blank)];
+        let line = reasons(&without);
+        assert!(line.starts_with("; 2, as `b`: its depth image reads 0 everywhere"), "{line}");
+        assert_eq!(line.matches("; 1, as `").count(), 2, "{line}");
+        assert_eq!(reasons(&[]), "");
+    }
 }

@@ -73,7 +73,7 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
     let depth_size = depth_size.ok_or(RgbdError::TooLittleDepth {
         usable: 0,
         all: input.captures.len(),
-        first: String::new(),
+        reasons: String::new(),
     })?;
     let infrared_seen = views(input).filter(|capture| !capture.infrared.is_empty()).count();
     let infrared = (input.depth.with_infrared && infrared_seen >= 3)
