@@ -26,6 +26,19 @@ pub enum RgbdError {
         /// nothing.
         reasons: String,
     },
+    /// The lens that was fitted to planes alone sees the board elsewhere: they leave it open, or
+    /// depth is not the board's.
+    #[error(
+        "{usable} of {all} views have the board in the depth image{reasons}, but the lens that fits its planes does not see it there: tilt the board more, near and far, or record infrared; and check that depth and color are of the same device, not mirrored, and taken together"
+    )]
+    LensElsewhere {
+        /// How many.
+        usable: usize,
+        /// Of how many with the board in color.
+        all: usize,
+        /// As of [`RgbdError::TooLittleDepth`].
+        reasons: String,
+    },
     /// Depth is a multiple of what the board says.
     #[error(
         "depth reads {factor:.3} times the board's distance: check the unit of depth (meters per unit: about {factor_inverse:.4} of what is stated would fit), the board's square, and that depth and color are of the same device"

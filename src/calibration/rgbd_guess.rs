@@ -34,6 +34,18 @@ pub(super) struct Measured {
     pub(super) without_depth: Vec<(String, NoPlane)>,
 }
 
+impl Measured {
+    /// That the lens which was fitted to these planes no longer sees the board there.
+    pub(super) fn lens_elsewhere(&self) -> RgbdError {
+        let views = &self.problem.views;
+        RgbdError::LensElsewhere {
+            usable: views.iter().filter(|view| !view.tiles.is_empty()).count(),
+            all: views.len(),
+            reasons: reasons(&self.without_depth),
+        }
+    }
+}
+
 /// What the joint solve starts from.
 pub(super) struct Guess {
     color: Lens,

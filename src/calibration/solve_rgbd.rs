@@ -93,11 +93,16 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
     };
     let mut guess = Guess::of(input, depth_size, &color, infrared.as_ref());
     let rounds = if infrared.is_some() { 1 } else { 3 };
-    let mut solved = None;
+    let mut solved: Option<(RgbdEstimate, Measured)> = None;
     for round in 0..rounds {
         let margin = if rounds == 1 || round > 0 { MARGIN_SQUARES } else { 0.0 };
         options.interrupt.check().map_err(RgbdError::Joint)?;
-        let mut measured = guess.measured(input, margin)?;
+        let mut measured = match (guess.measured(input, margin), &solved) {
+            (Err(RgbdError::TooLittleDepth { .. }), Some((_, before))) => {
+                return Err(before.lens_elsewhere());
+            }
+            (measured, _) => measured?,
+        };
         measured.problem.interrupt = options.interrupt.clone();
         let joint = calibrate_rgbd(&measured.problem).map_err(|error| match error {
             EstimationError::NoFit => RgbdError::NotOneDevice,

@@ -4,7 +4,7 @@
 //! extrinsics and distortion map on the same pixels.
 
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, Output};
 
 use nalgebra::{Point3, Vector3};
 use plumb::calibration::result::Calibration;
@@ -85,10 +85,18 @@ fn fitted() -> Vec<usize> {
 }
 
 fn calibrated(data: &Path) -> Calibration {
+    let output = answered(data, &fitted());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let document: CalibrationDocument = serde_json::from_slice(&output.stdout).unwrap();
+    Calibration::try_from(&document).unwrap()
+}
+
+/// What the command line answers for these views.
+fn answered(data: &Path, views: &[usize]) -> Output {
     let folder = tempfile::tempdir().unwrap();
     for (sensor, ending, source) in [("color", "jpg", "c1.jpg"), ("depth", "pgm", "d.pgm")] {
         std::fs::create_dir(folder.path().join(sensor)).unwrap();
-        for view in fitted() {
+        for view in views {
             let to = folder.path().join(sensor).join(format!("{view:04}.{ending}"));
             std::fs::copy(data.join(format!("{view:04}-{source}")), to).unwrap();
         }
@@ -98,10 +106,18 @@ fn calibrated(data: &Path) -> Calibration {
     let place = folder.path().display().to_string();
     let asked =
         ["calibrate", "--json", "--lens", "brown", "--board", "8x6", "--square", "40mm", &place];
-    let output = Command::new(env!("CARGO_BIN_EXE_plumb")).args(asked).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let document: CalibrationDocument = serde_json::from_slice(&output.stdout).unwrap();
-    Calibration::try_from(&document).unwrap()
+    Command::new(env!("CARGO_BIN_EXE_plumb")).args(asked).output().unwrap()
+}
+
+#[test]
+fn views_that_leave_the_depth_lens_open_are_refused_for_that() {
+    let Some(data) = shared_data("kinect1-herrera") else { return };
+    // Most are far away and nearly frontal: the fitted focal lengths are 629 and 11 px.
+    let output = answered(&data, &[0, 3, 12, 15, 18, 24, 33]);
+    let line = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success());
+    assert!(line.contains("7 of 7 views have the board in the depth image"), "{line}");
+    assert!(line.contains("the lens that fits its planes does not see it there"), "{line}");
 }
 
 fn numbers(value: &Value) -> Vec<f64> {
