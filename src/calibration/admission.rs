@@ -6,6 +6,7 @@ use crate::calibration::placement::Placement;
 use crate::calibration::view::FrameFacts;
 use crate::detection::board_detection::{Detection, NoBoard};
 use crate::geometry::pixel::ImageSize;
+use crate::imaging::no_image::NoImage;
 
 /// Why a frame did not become a view.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -15,6 +16,14 @@ pub enum Rejection {
     Unreadable {
         /// What the decoder said.
         detail: String,
+    },
+    /// The frame set has no image: the color image is missing beside depth.
+    #[error("frame set {name}: {missing}")]
+    NoImage {
+        /// The frame set's name, or its sequence number.
+        name: String,
+        /// What is missing, and where.
+        missing: NoImage,
     },
     /// No board was found in it.
     #[error("no board: {0}")]
@@ -96,7 +105,7 @@ pub enum Rejection {
 impl Rejection {
     /// The stable names, as counted in [`Rejections`], in the order of documents: those of
     /// [`NoBoard::KINDS`] among them.
-    pub const KINDS: [&'static str; 21] = [
+    pub const KINDS: [&'static str; 22] = [
         "no_corners",
         "no_grid",
         "other_size",
@@ -114,6 +123,7 @@ impl Rejection {
         "moving",
         "too_similar",
         "unreadable",
+        "no_image",
         "other_image_size",
         "no_texture",
         "unknown_scene",
@@ -134,6 +144,7 @@ impl Rejection {
             Self::Moving { .. } => "moving",
             Self::TooSimilar { .. } | Self::TeachesLittle { .. } => "too_similar",
             Self::Unreadable { .. } => "unreadable",
+            Self::NoImage { .. } => "no_image",
             Self::OtherImageSize { .. } => "other_image_size",
             Self::NoTexture { .. } => "no_texture",
             Self::UnknownScene { .. } => "unknown_scene",

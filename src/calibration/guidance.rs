@@ -164,6 +164,7 @@ pub(crate) fn obstacle(rejection: &Rejection) -> Option<String> {
             Some("go back to where the scene is in view, and take smaller steps".to_owned())
         }
         Rejection::Unreadable { .. }
+        | Rejection::NoImage { .. }
         | Rejection::OtherImageSize { .. }
         | Rejection::Full { .. } => Some(rejection.to_string()),
         Rejection::TooSimilar { .. } | Rejection::TeachesLittle { .. } => None,

@@ -146,11 +146,13 @@ fn print_order(
         uncertainty_px: step.after_px,
         gain: 1.0 - step.after_px / step.before_px,
     };
-    let next = SuggestedNext::of(problem, estimate).map(|next| NextDocument {
-        message: next.message,
-        target_pose: (&next.view.camera_from_board).into(),
-        uncertainty_px: next.view.uncertainty_px,
-        expected_uncertainty_px: next.view.expected_uncertainty_px,
+    let next = SuggestedNext::of(problem, estimate).and_then(|next| {
+        Some(NextDocument {
+            message: next.message,
+            target_pose: (&next.view.camera_from_board).into(),
+            uncertainty_px: next.view.uncertainty_px,
+            expected_uncertainty_px: next.view.expected_uncertainty_px?,
+        })
     });
     let document = OrderDocument { order: pool.order().iter().map(taught).collect(), next };
     if json {

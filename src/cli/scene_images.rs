@@ -79,7 +79,7 @@ fn scene_image(frames: &SourcedFrames) -> Result<ReadImage, String> {
     let frame = frames
         .set
         .frame(SensorKind::Color)
-        .ok_or_else(|| format!("{name}: has no image sensor"))?;
+        .ok_or_else(|| format!("{name}: {}", frames.no_image()))?;
     let mut luma = GrayImage::default();
     decode::luma(frame, &mut luma).map_err(|error| format!("{name}: {error}"))?;
     let depth = frames.set.frame(SensorKind::Depth).map(DepthImage::from_frame).transpose();

@@ -72,6 +72,6 @@ pub(super) fn read_luma(frames: &SourcedFrames, image: &mut GrayImage) -> Result
     let frame = [SensorKind::Color, SensorKind::Infrared]
         .into_iter()
         .find_map(|sensor| frames.set.frame(sensor));
-    let frame = frame.ok_or("it holds depth alone, in which no board can be seen; give images")?;
+    let frame = frame.ok_or_else(|| frames.no_image().to_string())?;
     luma(frame, image).map_err(|error| error.to_string())
 }

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use crate::imaging::frame::{FrameSet, SensorKind};
 use crate::imaging::image_file::frame_from_file;
+use crate::imaging::no_image::NoImage;
 use crate::imaging::timestamp::HostTime;
 use crate::recording::{ReadOptions, Recording, is_bag_folder, is_recording_file, natural_order};
 
@@ -40,9 +41,16 @@ pub struct SourcedFrames {
     /// The recording they are part of; `None` for an image that was chosen by itself or as one of
     /// a folder.
     pub recording: Option<String>,
+    /// The folder that its images are in subfolders of.
+    pub folder: Option<String>,
 }
 
 impl SourcedFrames {
+    /// That they hold no image, and what is missing where.
+    pub fn no_image(&self) -> NoImage {
+        NoImage::of(&self.set).in_folder(self.folder.as_deref())
+    }
+
     /// The image's path; for a frame of a recording its path and sequence number.
     pub fn path(&self) -> String {
         let numbered =
@@ -110,7 +118,11 @@ impl Iterator for FrameSets<'_> {
     fn next(&mut self) -> Option<Self::Item> {
         loop {
             if let Some(path) = self.images.pop_front() {
-                return Some(image(&path).map(|set| SourcedFrames { set, recording: None }));
+                return Some(image(&path).map(|set| SourcedFrames {
+                    set,
+                    recording: None,
+                    folder: None,
+                }));
             }
             if let Some(opened) = &mut self.open {
                 match opened.recording.next_frame_set() {
@@ -120,7 +132,8 @@ impl Iterator for FrameSets<'_> {
                             set.name = Some(format!("{}#{}", opened.path, set.sequence));
                         }
                         let recording = (!chosen).then(|| opened.path.clone());
-                        return Some(Ok(SourcedFrames { set, recording }));
+                        let folder = opened.is_folder.then(|| opened.path.clone());
+                        return Some(Ok(SourcedFrames { set, recording, folder }));
                     }
                     Ok(None) => self.open = None,
                     // A recording that was cut off ends here: all before it has been given.

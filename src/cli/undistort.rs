@@ -146,7 +146,7 @@ fn undistorted(
     let frame = frames
         .set
         .frame(SensorKind::Color)
-        .ok_or_else(|| format!("{path}: no image in this frame set"))?;
+        .ok_or_else(|| format!("{path}: {}", frames.no_image()))?;
     let image = decode::rgb(frame).map_err(|error| format!("{path}: {error}"))?;
     let size = ImageSize::new(image.width(), image.height());
     let flat = undistortion.map.rgb(&image, Interpolation::Bicubic).ok_or_else(|| {

@@ -20,6 +20,7 @@ pub mod image_file;
 mod jpeg;
 pub mod lettering;
 mod nearest_canvas;
+pub mod no_image;
 pub mod nominal_focal;
 pub mod pixel_format;
 mod plausible;

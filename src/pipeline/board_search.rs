@@ -12,6 +12,7 @@ use crate::imaging::decode;
 use crate::imaging::depth_encoding::DepthEncoding;
 use crate::imaging::frame::{Frame, FrameSet, SensorKind};
 use crate::imaging::gray::GrayImage;
+use crate::imaging::no_image::NoImage;
 use crate::pipeline::guarded::guarded;
 use crate::pipeline::live_frame::{FrameDetection, NoDetection};
 use crate::pipeline::seen::{SeenFrame, SensorObservation, searched_frame};
@@ -52,7 +53,7 @@ impl BoardSearch {
         let started = Instant::now();
         let found = match searched_frame(frame_set) {
             Some(frame) => self.search_frame(frame, board, manner),
-            None => Err(unreadable("there is none in this frame set".to_owned())),
+            None => Err(NoImage::of(frame_set).into()),
         };
         let tracked = found.as_ref().is_ok_and(|found| found.followed);
         FrameDetection {

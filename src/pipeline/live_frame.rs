@@ -6,6 +6,7 @@ use crate::calibration::scene::correspondence::SceneImage;
 use crate::calibration::session::FrameContent;
 use crate::detection::board_detection::{Detection, NoBoard};
 use crate::imaging::frame::FrameSet;
+use crate::imaging::no_image::NoImage;
 
 /// A frame set with what was seen in it: preview, overlay and image come from one and the same
 /// frame.
@@ -47,7 +48,10 @@ pub enum NoDetection {
     /// It was searched in vain.
     #[error(transparent)]
     NoBoard(#[from] NoBoard),
-    /// It could not be decoded, or the frame set has no image.
+    /// The frame set has no image.
+    #[error(transparent)]
+    NoImage(#[from] NoImage),
+    /// It could not be decoded.
     #[error("the image cannot be read: {detail}")]
     Unreadable {
         /// What the decoder said.

@@ -9,6 +9,7 @@ use crate::imaging::decode;
 use crate::imaging::frame::{Frame, FrameSet, PixelFormat};
 use crate::imaging::gray::GrayImage;
 use crate::imaging::image_file::{frame_from_file, png_from_luma};
+use crate::imaging::no_image::NoImage;
 use crate::pipeline::guarded::guarded;
 use crate::pipeline::live_frame::{FrameDetection, NoDetection};
 use crate::pipeline::seen::{frame_facts, searched_frame};
@@ -19,7 +20,7 @@ pub(super) fn search_scene(frame_set: &FrameSet) -> FrameDetection {
     let started = Instant::now();
     let outcome = match searched_frame(frame_set) {
         Some(frame) => scene_image(frame_facts(frame_set).display_name(), frame),
-        None => Err(unreadable("there is none in this frame set".to_owned())),
+        None => Err(NoImage::of(frame_set).into()),
     };
     FrameDetection {
         outcome: outcome.map(FrameContent::Scene),

@@ -65,6 +65,10 @@ impl SeenFrame {
         let seen = match &self.detection.outcome {
             Ok(content) => Ok(content.clone()),
             Err(NoDetection::NoBoard(reason)) => Err(Rejection::NoBoard(reason.clone())),
+            Err(NoDetection::NoImage(missing)) => {
+                let name = frame_facts(&self.frame_set).display_name();
+                Err(Rejection::NoImage { name, missing: missing.clone() })
+            }
             Err(NoDetection::Unreadable { detail }) => {
                 Err(Rejection::Unreadable { detail: detail.clone() })
             }

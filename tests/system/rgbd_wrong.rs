@@ -7,10 +7,10 @@ use std::path::Path;
 use plumb::imaging::depth_image::DepthImage;
 use plumb::imaging::frame::SensorKind;
 use plumb::recording::{ReadOptions, Recording};
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::program::{Finished, plumb};
-use crate::served::recording;
+use crate::served::{Served, recording};
 
 const STATED: &str = "[depth]\nkind = \"depth\"\nunit_m = 0.001\n";
 
@@ -45,6 +45,8 @@ enum Change {
     DepthOfOtherMoments,
     Swapped,
     ColorInHalf,
+    /// There is no color image at all.
+    NoColor,
     /// Every second depth image is missing.
     DepthInHalf,
     /// The fourth depth image has zeros only.
@@ -74,6 +76,7 @@ fn write(folder: &Path, sets: &[Taken], change: Change, with_infrared: bool) {
                 put("depth", "jpg", &set.color);
             }
             Change::ColorInHalf if index % 2 == 1 => put("depth", "png", &depth.to_png()),
+            Change::NoColor => put("depth", "png", &depth.to_png()),
             Change::DepthInHalf if index % 2 == 1 => put("color", "jpg", &set.color),
             _ => {
                 put("color", "jpg", &set.color);
@@ -124,7 +127,8 @@ fn uneven(depth: &DepthImage) -> DepthImage {
 fn each_wrong_thing_is_one_clear_line() {
     let sets = taken();
     let other_unit = "[depth]\nkind = \"depth\"\nunit_m = 0.01\n";
-    let table: [(&str, Change, &str); 9] = [
+    let table: [(&str, Change, &str); 10] = [
+        ("no color", Change::NoColor, "into its folder color/"),
         ("depth and color swapped", Change::Swapped, "not swapped"),
         (
             "depth mirrored",
@@ -259,4 +263,46 @@ fn verify_compares_depth_with_the_board_and_says_what_it_saw() {
     let (_, answer) = verify(&verified[..1], Change::Nothing);
     assert!(answer["depth"]["visible_m"].is_null(), "{answer}");
     assert!(answer["reasons"].to_string().contains("cannot show every move"), "{answer}");
+}
+
+#[test]
+fn what_is_missing_beside_depth_is_said_with_its_place() {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), &taken()[..4], Change::ColorInHalf, false);
+    let place = folder.path().display().to_string();
+    let finished = plumb(["detect", "--board", "9x6", "--json", &place]);
+    let lines: Vec<Value> =
+        finished.stdout.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!((finished.code, lines.len()), (Some(1), 4), "{finished:?}");
+    for (index, line) in lines.iter().enumerate() {
+        let missing = format!("put it at {place}/color/{index:02}");
+        let reason = line["reason"].as_str().unwrap_or_default();
+        let says = reason.contains(&missing) && reason.contains(&format!("depth/{index:02} out"));
+        assert_eq!(says, index % 2 == 1, "{line}");
+    }
+}
+
+#[test]
+fn a_session_says_which_color_image_is_missing() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = folder.path().join("box");
+    fs::create_dir(&place).unwrap();
+    write(&place, &taken()[..4], Change::NoColor, false);
+    let path = place.display().to_string();
+    let source = format!("{{ kind = \"recording\", path = {path:?}, fps = 100, repeat = true }}");
+    let served =
+        Served::start(folder.path(), &format!("[[camera]]\nname = \"front\"\nsource = {source}\n"));
+    let mut events = served.events("?camera=front", None);
+    let target = json!({"kind": "chessboard", "cols": 9, "rows": 6, "square_m": 0.04});
+    let session = served.post("/v1/cameras/front/sessions", &json!({ "target": target })).json();
+    let event = events.until(|event| event.name == "detection").data;
+    assert_eq!(event["rejection"], "no_image", "{event}");
+    assert!(event["reason"].as_str().unwrap().contains("put it at color/0"), "{event}");
+    let advised = events.until(|event| {
+        let said = event.data["guidance"]["message"].as_str().unwrap_or_default();
+        event.name == "session" && said.contains("its color image is missing")
+    });
+    assert!(advised.data["rejected"]["no_image"].as_u64() > Some(0), "{}", advised.data);
+    assert_eq!(advised.data["rejected"]["unreadable"], 0, "{}", advised.data);
+    assert_eq!(advised.data["id"], session["id"]);
 }

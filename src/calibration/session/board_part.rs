@@ -5,6 +5,7 @@ mod worth;
 
 use crate::calibration::admission::{AdmissionOptions, Rejection, SeenBefore, admit};
 use crate::calibration::coverage::Coverage;
+use crate::calibration::guidance::obstacle;
 use crate::calibration::information::next_view::SuggestedView;
 use crate::calibration::information::projection_goal::GoalFigure;
 use crate::calibration::information::teaching::{TaughtView, Teaching};
@@ -342,9 +343,9 @@ impl BoardPart {
         self.time.lost();
     }
 
-    /// Images have a size from now on.
+    /// Images have a size from now on, unless a frame set without an image came first.
     fn prepare(&mut self, size: ImageSize) {
-        if self.teaching.is_none() {
+        if self.teaching.is_none() && size.width > 0 && size.height > 0 {
             let figure =
                 if self.goal_px.is_some() { GoalFigure::Median } else { GoalFigure::Worst };
             let teaching = Teaching::new(&self.target, size, (self.lens, figure));
@@ -472,6 +473,9 @@ impl BoardPart {
             let suggested = self.advice.suggested.as_ref();
             let poses = camera_from_board.zip(suggested.map(|it| &it.camera_from_board));
             self.approach.follow(time_ns, poses.map(Into::into), teaching);
+        } else if let Some(message) = now.obstacle.and_then(obstacle) {
+            // As long as there is no image only that can be said.
+            self.summary.guidance.message = message;
         }
     }
 }

@@ -9,7 +9,7 @@ const OF_ONE_SENSOR = ["ros", "opencv", "mrcal"];
 const REASONS = {
   no_corners: "no board", no_grid: "corners without a grid", other_size: "another board", low_contrast: "too little contrast",
   image_too_small: "image too small", cut_off: "cut off", incomplete: "covered", partial: "partly out of view",
-  blurred: "blurred", moving: "moving", too_similar: "nothing new", unreadable: "unreadable", other_image_size: "other size", no_texture: "too little texture", unknown_scene: "another scene", full: "session full",
+  blurred: "blurred", moving: "moving", too_similar: "nothing new", unreadable: "unreadable", no_image: "color missing", other_image_size: "other size", no_texture: "too little texture", unknown_scene: "another scene", full: "session full",
 };
 const VERDICTS = { good: "Good: use it", usable: "Usable, with care", poor: "Poor: do not use it" };
 
