@@ -23,7 +23,8 @@ pub struct Guidance {
     pub outline_px: Vec<Pixel>,
     /// Where the board should be next.
     pub camera_from_board: Option<Pose>,
-    /// The goal's figure after that view, in pixels.
+    /// The goal's figure after that view, in pixels; `None` as long as nobody knows where a depth
+    /// camera beside color is.
     pub expected_uncertainty_px: Option<f64>,
     /// How many more views reach the goal, at least and at most; `None` without a goal.
     pub views_to_go: Option<[u32; 2]>,

@@ -37,7 +37,8 @@ pub struct GuidanceDocument {
     /// another.
     #[serde(default)]
     pub target_pose: Option<PoseDocument>,
-    /// The goal's uncertainty after that view, in pixels.
+    /// The goal's uncertainty after that view, in pixels; null as long as views do not determine
+    /// where a depth camera beside color is.
     #[serde(default)]
     pub expected_uncertainty_px: Option<f64>,
     /// How many more views reach the goal, at least and at most; null without a goal.

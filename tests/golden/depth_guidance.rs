@@ -54,6 +54,9 @@ struct Shown {
     frames_ms: Vec<f64>,
     /// How many views it said it still takes, before each one that was asked for.
     stated: Vec<Option<[u32; 2]>>,
+    /// After each view that was shown: how many have depth, and what the next one is said to leave
+    /// uncertain, in pixels.
+    expected_px: Vec<(usize, Option<f64>)>,
 }
 
 impl Shown {
@@ -68,8 +71,18 @@ impl Shown {
         let record = SessionRecord::begin("01", "front", request, 1_000_000_000);
         let session = Session::begin(record, &[], &AdmissionOptions::default());
         let rng = SeededCamera::rng(seed);
-        let (kept, frames_ms, stated) = (Vec::new(), Vec::new(), Vec::new());
-        Self { rig, session, rng, depth_counts, kept, seconds: 0, solves: false, frames_ms, stated }
+        Self {
+            rig,
+            session,
+            rng,
+            depth_counts,
+            kept: Vec::new(),
+            seconds: 0,
+            solves: false,
+            frames_ms: Vec::new(),
+            stated: Vec::new(),
+            expected_px: Vec::new(),
+        }
     }
 
     /// Shows a board, measured by depth or not; whether it was kept.
@@ -115,6 +128,9 @@ impl Shown {
             self.kept.push(capture);
         }
         self.perform(&observed.actions);
+        let with_depth = self.kept.iter().filter(|capture| capture.depth.is_some()).count();
+        let expected_px = self.session.record().guidance.expected_uncertainty_px;
+        self.expected_px.push((with_depth, expected_px));
         kept
     }
 
@@ -308,6 +324,24 @@ fn views_are_asked_for_until_both_are_known() {
     }
 }
 
+#[test]
+fn what_views_do_not_determine_has_no_number() {
+    /// Nobody who knows where depth is says more: a square of the nearest board.
+    const MOST_PX: f64 = 60.0;
+    for seed in seeds(74) {
+        for is_hardly_taught in [false, true] {
+            let mut shown = begun(seed, (true, is_hardly_taught));
+            shown.follow();
+            println!("seed {seed}, {is_hardly_taught}: {:.2?}", shown.expected_px);
+            let said = |(views, px): &(usize, Option<f64>)| px.map(|px| (*views, px));
+            let said: Vec<(usize, f64)> = shown.expected_px.iter().filter_map(said).collect();
+            // Fewer views do not determine a depth camera.
+            assert!(said.iter().all(|(views, px)| *views >= 3 && *px < MOST_PX), "{said:?}");
+            assert!(said.len() > 2, "seed {seed}: {said:?}");
+        }
+    }
+}
+
 /// A session that is shown where it asks for boards from its first view on; or that is hardly
 /// taught before.
 fn begun(seed: u64, (depth_counts, is_hardly_taught): (bool, bool)) -> Shown {
@@ -333,7 +367,7 @@ fn the_number_of_views_that_are_still_needed_holds() {
             );
             assert!(shown.solves && asked < 30, "seed {seed} {how:?}: {asked} asked for");
             let last = shown.stated.last().copied().flatten();
-            assert!(last.is_some_and(|[few, many]| few <= 1 && many <= 3), "{last:?}");
+            assert!(last.is_some_and(|[few, many]| few <= 2 && many <= 4), "{last:?}");
             for (so_far, said) in shown.stated.iter().enumerate() {
                 let Some([few, many]) = *said else { continue };
                 let needed = (asked - so_far) as u32;
@@ -345,5 +379,5 @@ fn the_number_of_views_that_are_still_needed_holds() {
         }
     }
     println!("{stated} statements: {held} hold, {within_one} within one view");
-    assert!(2 * held >= stated && 5 * within_one >= 4 * stated, "{held} of {stated}");
+    assert!(4 * held >= 3 * stated && 10 * within_one >= 9 * stated, "{held} of {stated}");
 }

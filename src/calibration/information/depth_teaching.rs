@@ -54,6 +54,14 @@ pub(super) struct DepthNow {
     pub(super) std_px: Vec<f64>,
 }
 
+/// What a board that nobody holds yet would teach.
+pub(super) struct ExpectedView {
+    /// Of color's lens.
+    pub(super) of_color: DMatrix<f64>,
+    /// Of depth, with the distance that it would measure, in meters; `None` where it would not.
+    pub(super) of_depth: Option<(DepthNormal, f64)>,
+}
+
 /// What a depth camera is before a session, as far as anyone states it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DeviceDepth {
@@ -161,10 +169,11 @@ impl DepthTeaching {
         }
     }
 
-    /// Whether it is known better than guessed where in the depth image a board is.
+    /// Whether views say better than guesses where in the depth image a board is: only then is how
+    /// uncertain that is a number of the views, and not of what was taken for known before them.
     pub fn is_placed(&self, color: &Teaching) -> bool {
         let newest = color.views().last();
-        newest.is_some_and(|taught| self.margin_squares(color, taught).is_some())
+        newest.is_some_and(|taught| self.fitted_margin_squares(color, taught).is_some())
     }
 
     /// How far past its outer corners the board's surface is searched for, by how well it is known
@@ -175,6 +184,10 @@ impl DepthTeaching {
         if self.is_stated {
             return Some(MARGIN_SQUARES);
         }
+        self.fitted_margin_squares(color, taught)
+    }
+
+    fn fitted_margin_squares(&self, color: &Teaching, taught: &TaughtView) -> Option<f64> {
         let middle = color.board().middle();
         let side_m = color.board().side_m;
         let side_px = side_px(color.lens(), &taught.camera_from_board, &middle, side_m)?;
@@ -222,6 +235,14 @@ impl DepthTeaching {
         Some(now.goal.figure_px(&now.std_px))
     }
 
+    /// The same with one more view that teaches of color's lens alone.
+    pub fn uncertainty_beside(&self, of_color: &DMatrix<f64>) -> Option<f64> {
+        let now = self.now.as_ref().filter(|_| self.estimated_among > 0)?;
+        let fits = of_color.nrows() == now.known.free.len();
+        let after = fits.then(|| now.known.with(of_color, None))?;
+        Some(now.goal.figure_px(&now.goal.std_px(&after)?))
+    }
+
     /// What is known; `None` as long as nothing is.
     pub fn information(&self) -> Option<&DepthInformation> {
         self.now.as_ref().map(|now| &now.known)
@@ -246,7 +267,7 @@ impl DepthTeaching {
         &self,
         color: &Teaching,
         (color_from_board, normal): (&Pose, &ViewNormal),
-    ) -> Option<(DMatrix<f64>, Option<DepthNormal>)> {
+    ) -> Option<ExpectedView> {
         let now = self.now.as_ref()?;
         let of_color = normal.lens_information(&now.known.free)?;
         let board = color.board();
@@ -254,9 +275,28 @@ impl DepthTeaching {
         let of_depth = tiles.and_then(|(tiles, weight)| {
             let centered = Pose::new(color_from_board.rotation(), normal.middle_in_camera);
             let planes = PlaneNormal::of(&self.depth, &centered, (&tiles, self.weight(weight)))?;
-            now.known.of_view(normal, &planes)
+            Some((now.known.of_view(normal, &planes)?, distance_m(&tiles)))
         });
-        Some((of_color, of_depth))
+        Some(ExpectedView { of_color, of_depth })
+    }
+
+    /// The nearest and the farthest distance that boards were measured at; `None` before the first.
+    pub(super) fn seen_m(&self) -> Option<[f64; 2]> {
+        let of = |of: fn(f64, f64) -> f64| self.views.iter().map(|view| view.z_m).reduce(of);
+        Some([of(f64::min)?, of(f64::max)?])
+    }
+
+    /// What is to be known where boards are seen from the nearest to the farthest of `seen_m`.
+    pub(super) fn goal(
+        &self,
+        color: &Teaching,
+        (free, [near_m, far_m]): (&[usize], [f64; 2]),
+    ) -> Option<DepthGoal> {
+        DepthGoal::new(
+            (&self.depth, self.size),
+            (color.lens(), free, color.size()),
+            (&[near_m, (near_m * far_m).sqrt(), far_m], color.figure()),
+        )
     }
 
     pub(super) fn now(&self) -> Option<&DepthNow> {
@@ -300,12 +340,7 @@ impl DepthTeaching {
         for (taught, measured) in self.with_color(color) {
             self.normal(&known, taught, measured).into_iter().for_each(|view| known.add(&view));
         }
-        let distances_m = distances_m(&self.views)?;
-        let goal = DepthGoal::new(
-            (&self.depth, self.size),
-            (color.lens(), &known.free, color.size()),
-            (&distances_m, color.figure()),
-        )?;
+        let goal = self.goal(color, (&known.free, self.seen_m()?))?;
         let std_px = goal.std_px(&known)?;
         Some(DepthNow { known, goal, std_px })
     }
@@ -322,9 +357,7 @@ impl DepthTeaching {
     }
 
     fn estimate(&mut self, color: &Teaching) {
-        let [near, far] = [f64::min, f64::max].map(|of: fn(f64, f64) -> f64| {
-            self.views.iter().map(|view| view.z_m).reduce(of).unwrap_or(1.0)
-        });
+        let [near, far] = self.seen_m().unwrap_or([1.0; 2]);
         let mut start = self.guess.clone();
         start.correction.seen_m = [near / BEYOND_SEEN, far * BEYOND_SEEN];
         start.lens = self.guess(color).0;
@@ -355,8 +388,7 @@ impl DepthNow {
 
 impl MeasuredView {
     fn new(number: u32, tiles: Vec<DepthTile>) -> Self {
-        let mean = tiles.iter().map(|tile| tile.inverse_depth).sum::<f64>();
-        let z_m = tiles.len() as f64 / mean.max(f64::MIN_POSITIVE);
+        let z_m = distance_m(&tiles);
         let few = few(&tiles, &vec![true; tiles.len()]);
         Self { number, tiles, few, z_m }
     }
@@ -368,10 +400,8 @@ impl MeasuredView {
     }
 }
 
-/// The nearest, a middle and the farthest distance that boards were measured at; `None` before the
-/// first.
-fn distances_m(views: &[MeasuredView]) -> Option<Vec<f64>> {
-    let near = views.iter().map(|view| view.z_m).reduce(f64::min)?;
-    let far = views.iter().map(|view| view.z_m).reduce(f64::max)?;
-    Some(vec![near, (near * far).sqrt(), far])
+/// The distance of a surface, in meters.
+fn distance_m(tiles: &[DepthTile]) -> f64 {
+    let sum = tiles.iter().map(|tile| tile.inverse_depth).sum::<f64>();
+    tiles.len() as f64 / sum.max(f64::MIN_POSITIVE)
 }

@@ -1,11 +1,14 @@
 //! The next view to ask for so that color knows where it sees what depth measures: the one that
 //! lowers that uncertainty most.
 
-use nalgebra::{DMatrix, Point3};
+use std::rc::Rc;
+
+use nalgebra::Point3;
 
 use crate::calibration::information::candidate_views::{CandidateSpace, Holding};
-use crate::calibration::information::depth_information::{DepthInformation, DepthNormal};
-use crate::calibration::information::depth_teaching::{DepthNow, DepthTeaching};
+use crate::calibration::information::depth_goal::DepthGoal;
+use crate::calibration::information::depth_information::DepthInformation;
+use crate::calibration::information::depth_teaching::{DepthTeaching, ExpectedView};
 use crate::calibration::information::teaching::Teaching;
 use crate::calibration::information::view_information::ViewNormal;
 use crate::calibration::information::view_search::{
@@ -37,9 +40,18 @@ const SIZE: SearchSize =
 /// What a depth camera beside color is to be known by.
 struct DepthLesson<'a> {
     depth: &'a DepthTeaching,
-    now: &'a DepthNow,
+    known: KnownDepth,
     color: &'a Teaching,
     space: &'a CandidateSpace<'a>,
+}
+
+/// What is known of depth, and what is to be known of it.
+#[derive(Clone)]
+struct KnownDepth {
+    information: DepthInformation,
+    goal: Rc<DepthGoal>,
+    /// The distances that the goal is for.
+    seen_m: [f64; 2],
 }
 
 /// A board before color.
@@ -50,11 +62,14 @@ struct BeforeColor {
 
 impl Lesson for DepthLesson<'_> {
     type View = BeforeColor;
-    type Information = (DMatrix<f64>, Option<DepthNormal>);
-    type Known = DepthInformation;
+    type Information = ExpectedView;
+    type Known = KnownDepth;
 
-    fn known(&self) -> &DepthInformation {
-        &self.now.known
+    /// As many as sessions take from where this is said.
+    const COMING: usize = 5;
+
+    fn known(&self) -> &KnownDepth {
+        &self.known
     }
 
     fn view(&self, _image: usize, holding: &Holding) -> Option<LessonCandidate<BeforeColor>> {
@@ -65,25 +80,37 @@ impl Lesson for DepthLesson<'_> {
         Some(LessonCandidate { view, camera_from_board, likely })
     }
 
-    fn information(&self, view: &BeforeColor) -> Option<Self::Information> {
+    fn information(&self, view: &BeforeColor) -> Option<ExpectedView> {
         self.depth.expected(self.color, (&view.camera_from_board, &view.normal))
     }
 
-    fn after(
-        &self,
-        known: &DepthInformation,
-        (of_color, of_depth): &Self::Information,
-        part: f64,
-    ) -> DepthInformation {
-        let of_depth = of_depth.as_ref().map(|view| view.scaled(part));
-        known.with(&(of_color * part), of_depth.as_ref())
+    fn after(&self, known: &KnownDepth, view: &ExpectedView, part: f64) -> KnownDepth {
+        let of_depth = view.of_depth.as_ref().map(|(view, _)| view.scaled(part));
+        let information = known.information.with(&(&view.of_color * part), of_depth.as_ref());
+        KnownDepth { information, ..known.clone() }
     }
 
-    fn uncertainty_px(&self, known: &DepthInformation) -> Option<LessonFigures> {
-        let goal = &self.now.goal;
-        let std_px = goal.std_px(known)?;
-        let (figure, criterion) = (goal.figure_px(&std_px), goal.criterion_px(&std_px));
+    fn uncertainty_px(&self, known: &KnownDepth) -> Option<LessonFigures> {
+        let std_px = known.goal.std_px(&known.information)?;
+        let (figure, criterion) = (known.goal.figure_px(&std_px), known.goal.criterion_px(&std_px));
         Some(LessonFigures { figure, criterion })
+    }
+
+    /// A board that is nearer or farther than any before adds the depth there: nearer ones teach
+    /// more, and are asked for.
+    fn kept(&self, known: KnownDepth, view: &ExpectedView) -> KnownDepth {
+        let [near_m, far_m] = known.seen_m;
+        let z_m = view.of_depth.as_ref().map(|(_, z_m)| *z_m);
+        let beyond = z_m.filter(|z_m| !(near_m..=far_m).contains(z_m));
+        let seen_m = beyond.map(|z_m| [near_m.min(z_m), far_m.max(z_m)]);
+        let goal = seen_m.and_then(|seen_m| {
+            let goal = self.depth.goal(self.color, (&known.information.free, seen_m))?;
+            Some((Rc::new(goal), seen_m))
+        });
+        match goal {
+            Some((goal, seen_m)) => KnownDepth { goal, seen_m, ..known },
+            None => known,
+        }
     }
 
     fn middle(&self) -> Point3<f64> {
@@ -102,11 +129,13 @@ pub fn suggest_depth_view(
     let noise = color.corner_noise();
     let avoided = color.avoided();
     let space = color.space(&noise, &avoided);
-    let lesson = DepthLesson { depth, now, color, space: &space };
+    let (information, goal) = (now.known.clone(), Rc::new(now.goal.clone()));
+    let known = KnownDepth { information, goal, seen_m: depth.seen_m()? };
+    let lesson = DepthLesson { depth, known, color, space: &space };
     let from = color.views().last().map(|view| &view.camera_from_board);
     let found = find_view(&lesson, &SIZE, (from, goal_px))?;
-    let before = lesson.uncertainty_px(&now.known)?;
-    let after = lesson.uncertainty_px(&lesson.after(&now.known, &found.information, 1.0))?;
+    let before = lesson.uncertainty_px(&lesson.known)?;
+    let after = lesson.uncertainty_px(&lesson.after(&lesson.known, &found.information, 1.0))?;
     Some(NextDepthView {
         camera_from_board: found.view.camera_from_board,
         normal: found.view.normal,

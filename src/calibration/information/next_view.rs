@@ -24,8 +24,9 @@ pub struct SuggestedView {
     pub outline_px: [Pixel; 4],
     /// The goal's figure now, in pixels.
     pub uncertainty_px: f64,
-    /// The same after that view.
-    pub expected_uncertainty_px: f64,
+    /// The same after that view; `None` as long as nobody knows where the depth camera beside this
+    /// one is.
+    pub expected_uncertainty_px: Option<f64>,
     /// By how much the goal's criterion would fall, as [`ProjectionGoal::drop`] has it.
     pub drop: f64,
     /// What it would add to what is known of the lens.
@@ -99,7 +100,7 @@ pub fn suggest_view(
         camera_from_board: found.view.camera_from_board,
         outline_px: space.outline_px(&found.view.camera_from_board)?,
         uncertainty_px: goal.figure_px(&now)?,
-        expected_uncertainty_px: goal.figure_px(&after)?,
+        expected_uncertainty_px: Some(goal.figure_px(&after)?),
         drop: goal.drop(&now, &after),
         information: found.information,
         views_to_go: found.views_to_go,

@@ -149,7 +149,7 @@ impl Teaching {
             camera_from_board,
             outline_px: self.space(&noise, &[]).outline_px(&camera_from_board)?,
             uncertainty_px: self.goal.figure_px(now)?,
-            expected_uncertainty_px: self.goal.figure_px(&after)?,
+            expected_uncertainty_px: Some(self.goal.figure_px(&after)?),
             drop: self.goal.drop(now, &after),
             information,
             views_to_go,

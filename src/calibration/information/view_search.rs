@@ -21,6 +21,8 @@ pub(super) trait Lesson {
 
     /// How many images the board can be placed in.
     const IMAGES: usize = 1;
+    /// So many of the coming views may add to what is to be known; 0 where none does.
+    const COMING: usize = 0;
 
     /// What is known now.
     fn known(&self) -> &Self::Known;
@@ -37,6 +39,11 @@ pub(super) trait Lesson {
 
     /// How uncertain that leaves what is to be known; `None` where it leaves something open.
     fn uncertainty_px(&self, known: &Self::Known) -> Option<LessonFigures>;
+
+    /// The same once that view is kept: there may be more to know then.
+    fn kept(&self, known: Self::Known, _view: &Self::Information) -> Self::Known {
+        known
+    }
 
     /// The board's middle in its own frame.
     fn middle(&self) -> Point3<f64>;
@@ -65,8 +72,9 @@ pub(super) struct LessonCandidate<View> {
 pub(super) struct FoundView<L: Lesson> {
     pub(super) view: L::View,
     pub(super) information: L::Information,
-    /// How many more views reach the goal: as few as this if each is as suggested, as many as that
-    /// if each teaches a quarter as much. `None` without a goal.
+    /// How many more views reach the goal: as few as this if each is as suggested and there is no
+    /// more to know than now; as many as that if each teaches a quarter as much, or if all that
+    /// coming ones add is to be known too, whichever takes longer. `None` without a goal.
     pub(super) views_to_go: Option<[u32; 2]>,
 }
 
@@ -90,9 +98,9 @@ const SHORTLIST: usize = 12;
 const COUNTED: u32 = 12;
 /// So many views are none that anybody shows.
 const UNREACHABLE: u32 = 1_000_000;
-/// How much views teach, relative to what is expected of them: as much, or a quarter where they are
-/// held otherwise, or where corners and planes scatter twice as far as few views let expect.
-const PARTS: [f64; 2] = [1.0, 0.25];
+/// How much coming views teach at least, relative to what is expected of them: a quarter where they
+/// are held otherwise, or where corners and planes scatter twice as far as few views let expect.
+const LEAST_PART: f64 = 0.25;
 
 struct ScoredView<L: Lesson> {
     candidate: LessonCandidate<L::View>,
@@ -142,35 +150,63 @@ pub(super) fn find_view<L: Lesson>(
     };
     let chosen = as_good.enumerate().min_by(by_effort)?.0;
     let stride = (scored.len() / 2 / SHORTLIST).max(1);
-    let shortlist: Vec<&L::Information> =
-        scored.iter().step_by(stride).take(SHORTLIST).map(|scored| &scored.information).collect();
-    let views_to_go =
-        goal_px.map(|goal_px| PARTS.map(|part| views_to_go(lesson, (&shortlist, part), goal_px)));
+    let shortlist = scored.iter().step_by(stride).take(SHORTLIST);
+    let shortlist: Vec<&L::Information> = shortlist.map(|scored| &scored.information).collect();
+    let views_to_go = goal_px.map(|goal_px| {
+        let begin = || lesson.known().clone();
+        let grown = grown(lesson, &shortlist);
+        let count =
+            |known: L::Known, part: f64| views_to_go(lesson, known, (&shortlist, part), goal_px);
+        let few = count(begin(), 1.0);
+        [few, few.max(count(begin(), LEAST_PART)).max(count(grown, 1.0))]
+    });
     let ScoredView { candidate, information, .. } = scored.swap_remove(chosen);
     Some(FoundView { view: candidate.view, information, views_to_go })
 }
 
+/// What is known, and all that the views which would be asked for next add to what is to be known.
+fn grown<L: Lesson>(lesson: &L, shortlist: &[&L::Information]) -> L::Known {
+    let (mut known, mut grown) = (lesson.known().clone(), lesson.known().clone());
+    for _ in 0..L::COMING {
+        let Some((view, after)) = best_after(lesson, &known, (shortlist, 1.0)) else { break };
+        known = lesson.kept(after, view);
+        grown = lesson.kept(grown, view);
+    }
+    grown
+}
+
+/// The view that this part of lowers the criterion most, with what is known after it.
+fn best_after<'a, L: Lesson>(
+    lesson: &L,
+    known: &L::Known,
+    (views, part): (&[&'a L::Information], f64),
+) -> Option<(&'a L::Information, L::Known)> {
+    let after = views.iter().copied().filter_map(|view| {
+        let after = lesson.after(known, view, part);
+        Some((lesson.uncertainty_px(&after)?.criterion, view, after))
+    });
+    after.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, view, after)| (view, after))
+}
+
 /// How many views out of `shortlist`, each with this part of its information and each the best at
-/// its next step, reach the goal.
+/// its next step, reach the goal from what is `known`.
 fn views_to_go<L: Lesson>(
     lesson: &L,
+    mut known: L::Known,
     (shortlist, part): (&[&L::Information], f64),
     goal_px: f64,
 ) -> u32 {
-    let mut known = lesson.known().clone();
     let figures = |known: &L::Known| lesson.uncertainty_px(known);
     let mut figures_px: Vec<f64> = figures(&known).map(|px| px.figure).into_iter().collect();
     for count in 0..=COUNTED {
         if figures_px.last().is_none_or(|now_px| *now_px <= goal_px) {
             return count;
         }
-        let next = (shortlist.iter())
-            .map(|view| lesson.after(&known, view, part))
-            .filter_map(|after| Some((figures(&after)?.figure, after)))
-            .min_by(|a, b| a.0.total_cmp(&b.0));
-        let Some((after_px, after)) = next else { return UNREACHABLE };
-        figures_px.push(after_px);
+        let Some((_, after)) = best_after(lesson, &known, (shortlist, part)) else {
+            return UNREACHABLE;
+        };
         known = after;
+        figures_px.extend(figures(&known).map(|px| px.figure));
     }
     COUNTED + more_views(&figures_px, goal_px)
 }

@@ -54,7 +54,7 @@ impl Advice {
             message: now.obstacle.and_then(obstacle).unwrap_or(message),
             outline_px: suggested.outline_px.to_vec(),
             camera_from_board: Some(suggested.camera_from_board),
-            expected_uncertainty_px: Some(suggested.expected_uncertainty_px),
+            expected_uncertainty_px: suggested.expected_uncertainty_px,
             views_to_go: suggested.views_to_go,
         }
     }

@@ -123,28 +123,36 @@ impl DepthPart {
         own: Option<&SuggestedView>,
         goal_px: Option<f64>,
     ) -> Option<SuggestedView> {
-        let depth = self.counted();
-        // Of a camera that is known no better than guessed nobody can say how many it takes.
-        let is_placed = depth.is_some_and(|depth| depth.is_placed(color));
-        self.next = depth.and_then(|depth| suggest_depth_view(depth, color, goal_px));
-        self.is_asked_for = false;
-        let own = own.cloned();
-        let Some(next) = &self.next else { return own };
-        let most = |[a, b]: [u32; 2], [c, d]: [u32; 2]| [a.max(c), b.max(d)];
-        let own_to_go = own.as_ref().and_then(|own| own.views_to_go);
-        let views_to_go = own_to_go.zip(next.views_to_go.filter(|_| is_placed));
-        let views_to_go = views_to_go.map(|(own, depth)| most(own, depth));
-        if own.as_ref().is_some_and(|own| own.uncertainty_px >= next.uncertainty_px) {
-            return own.map(|own| SuggestedView { views_to_go, ..own });
-        }
+        let next = self.counted().and_then(|depth| suggest_depth_view(depth, color, goal_px));
+        (self.next, self.is_asked_for) = (next, false);
+        let Some(depth) = self.counted() else { return own.cloned() };
+        // Of a camera that is known no better than guessed nobody can say what a view leaves open,
+        // nor how many it takes.
+        let is_placed = depth.is_placed(color);
+        let next = self.next.as_ref();
+        let views_to_go = own.zip(next).filter(|_| is_placed).and_then(|(own, next)| {
+            let ([a, b], [c, d]) = (own.views_to_go?, next.views_to_go?);
+            Some([a.max(c), b.max(d)])
+        });
+        let own = own.map(|own| {
+            let after_px = depth.uncertainty_beside(&own.information).filter(|_| is_placed);
+            let both_px = own.expected_uncertainty_px.zip(after_px);
+            let expected_uncertainty_px = both_px.map(|(own_px, depth_px)| own_px.max(depth_px));
+            SuggestedView { views_to_go, expected_uncertainty_px, ..own.clone() }
+        });
+        let is_less_known = |next: &&NextDepthView| {
+            own.as_ref().is_none_or(|own| own.uncertainty_px < next.uncertainty_px)
+        };
+        let Some(next) = next.filter(is_less_known) else { return own };
         let asked = color.suggested(next.camera_from_board, &next.normal, views_to_go);
-        self.is_asked_for = asked.is_some();
         let asked = asked.map(|asked| SuggestedView {
             uncertainty_px: next.uncertainty_px,
-            expected_uncertainty_px: next.expected_uncertainty_px,
+            expected_uncertainty_px: (asked.expected_uncertainty_px.filter(|_| is_placed))
+                .map(|color_px| color_px.max(next.expected_uncertainty_px)),
             is_for_depth: true,
             ..asked
         });
+        self.is_asked_for = asked.is_some();
         asked.or(own)
     }
 
