@@ -3,7 +3,9 @@
 
 use crate::calibration::rgbd_error::RgbdError;
 use crate::estimation::depth_error::JudgedTile;
-use crate::estimation::rgbd::RgbdEstimate;
+use crate::estimation::rgbd::device_prior::is_plausible;
+use crate::estimation::rgbd::{DepthLens, RgbdEstimate};
+use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::depth_camera::DepthReading;
 use crate::geometry::median::median;
 
@@ -24,9 +26,9 @@ const MOST_LEFT: f64 = 0.02;
 const FURTHEST: (f64, f64) = (0.5, 45.0);
 
 /// # Errors
-/// [`RgbdError`]: another unit, depth that does not follow the board, or sensors too far from each
-/// other for one device.
-pub(super) fn check_joint(joint: &RgbdEstimate) -> Result<(), RgbdError> {
+/// [`RgbdError`]: another unit, depth that does not follow the board, a lens that no depth camera has,
+/// or sensors too far from each other for one device.
+pub(super) fn check_joint(joint: &RgbdEstimate, lens_from: DepthLens) -> Result<(), RgbdError> {
     let tiles = || joint.judged.iter().flatten();
     let factors = || tiles().map(|judged| judged.plane / judged.tile.inverse_depth);
     let factor = median(factors().collect()).unwrap_or(1.0);
@@ -53,6 +55,11 @@ pub(super) fn check_joint(joint: &RgbdEstimate) -> Result<(), RgbdError> {
         let off = tiles().filter(|judged| left(judged) > MOST_LEFT).count() as f64
             / tiles().count().max(1) as f64;
         return Err(RgbdError::Disagree { percent: 100.0 * (1.0 - joint.following * (1.0 - off)) });
+    }
+    let lens = &joint.depth.lens;
+    if lens_from == DepthLens::FromPlanes && !is_plausible(lens, joint.depth.image_size) {
+        let CameraMatrix { fx, fy, cx, cy, .. } = lens.matrix;
+        return Err(RgbdError::ImplausibleLens { fx, fy, cx, cy });
     }
     let pose = &joint.color_from_depth;
     let (distance_m, degrees) = (pose.translation().norm(), pose.rotation().angle().to_degrees());

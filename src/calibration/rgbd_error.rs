@@ -39,6 +39,20 @@ pub enum RgbdError {
         /// As of [`RgbdError::TooLittleDepth`].
         reasons: String,
     },
+    /// The lens that fits the planes best is none that depth cameras have.
+    #[error(
+        "the depth lens that fits the board best has focal lengths of {fx:.0} and {fy:.0} px and its principal point at ({cx:.0}, {cy:.0}), as no depth camera has: check that depth and color are of the same device, not mirrored, and taken together; and tilt the board more, near and far, or record infrared"
+    )]
+    ImplausibleLens {
+        /// Focal length along x, in pixels.
+        fx: f64,
+        /// Along y.
+        fy: f64,
+        /// Principal point, in pixels.
+        cx: f64,
+        /// Its other coordinate.
+        cy: f64,
+    },
     /// Depth is a multiple of what the board says.
     #[error(
         "depth reads {factor:.3} times the board's distance: check the unit of depth (meters per unit: about {factor_inverse:.4} of what is stated would fit), the board's square, and that depth and color are of the same device"

@@ -113,7 +113,7 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
         solved = Some((joint, measured));
     }
     let (joint, measured) = solved.ok_or(RgbdError::Joint(EstimationError::NoFit))?;
-    check_joint(&joint)?;
+    check_joint(&joint, measured.problem.depth_lens)?;
     let Measured { problem, captures, without_depth } = measured;
     let factory =
         input.depth.factory.and_then(|factory| FactoryCheck::of(&problem, &joint, factory));

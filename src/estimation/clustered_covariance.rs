@@ -86,6 +86,10 @@ impl Influence {
     }
 }
 
+/// What one view by itself says of the parameters that all share, its pose eliminated: its part of
+/// the information, and of the gradient of half the cost.
+pub(crate) type ReducedView = (DMatrix<f64>, DVector<f64>);
+
 /// The covariance of all global parameters of a fit, with what each of its views does to them.
 #[derive(Debug, Clone)]
 pub(crate) struct FitCovariance {
@@ -104,7 +108,7 @@ impl FitCovariance {
         let equations = &fit.robust.minimum.equations;
         let unit = equations.global_covariance()?;
         // Parameters differ by orders of magnitude: in units of their own deviations.
-        let scale = unit.diagonal().map(|v| v.max(f64::MIN_POSITIVE).sqrt());
+        let scale = deviations(&unit);
         // What was found beyond lens and poses has a covariance of its own.
         let influences = if fit.effects.is_some() || fit.is_exact() || unit.is_empty() {
             Vec::new()
@@ -113,6 +117,18 @@ impl FitCovariance {
         };
         let (noise_square, frame_sets) = (fit.noise_square(), equations.seen_frame_sets());
         Some(Self { unit, influences, scale, noise_square, frame_sets })
+    }
+
+    /// Of parameters whose covariance for unit noise is `unit`, from all views.
+    pub(crate) fn of_views(unit: DMatrix<f64>, noise_square: f64, views: &[ReducedView]) -> Self {
+        let scale = deviations(&unit);
+        let influences = of_parts(&unit, &scale, views.iter().cloned()).unwrap_or_default();
+        Self { unit, influences, scale, noise_square, frame_sets: views.len() }
+    }
+
+    /// That of all parameters.
+    pub(crate) fn all(&self) -> DMatrix<f64> {
+        self.block(0..self.unit.nrows()).covariance
     }
 
     /// As [`Self::block`], but with a covariance that is not below what the views' influences show,
@@ -171,19 +187,36 @@ fn influences(
     scale: &DVector<f64>,
 ) -> Option<Vec<Influence>> {
     let Minimum { state, equations, .. } = &fit.robust.minimum;
-    let size = unit.nrows();
-    let scaled = in_units(unit, scale);
-    let inverse = scaled.clone().cholesky()?.inverse();
     let of_frame_set = |observations: Vec<usize>| {
         let parts = observations.iter().map(|observation| (*observation, 0));
         let alone = assemble(&equations.local, (&fit.layout, state), &fit.observations, (parts, 1));
-        let (information, score) = alone.reduced(0)?;
+        alone.reduced(0)
+    };
+    of_parts(unit, scale, fit.some_frame_sets().into_iter().filter_map(of_frame_set))
+}
+
+/// The deviations of parameters with this covariance.
+fn deviations(unit: &DMatrix<f64>) -> DVector<f64> {
+    unit.diagonal().map(|v| v.max(f64::MIN_POSITIVE).sqrt())
+}
+
+/// What views that say this do to parameters whose covariance for unit noise is `unit`, in units of
+/// `scale`.
+fn of_parts(
+    unit: &DMatrix<f64>,
+    scale: &DVector<f64>,
+    views: impl Iterator<Item = ReducedView>,
+) -> Option<Vec<Influence>> {
+    let size = unit.nrows();
+    let scaled = in_units(unit, scale);
+    let inverse = scaled.clone().cholesky()?.inverse();
+    let of_view = |(information, gradient): ReducedView| {
         let information =
             DMatrix::from_fn(size, size, |i, j| information[(i, j)] * scale[i] * scale[j]);
-        let step = -(&scaled * score.component_mul(scale));
-        Some(Influence::of(step, &scaled * information * &scaled, &inverse))
+        let step = -(&scaled * gradient.component_mul(scale));
+        Influence::of(step, &scaled * information * &scaled, &inverse)
     };
-    Some(fit.some_frame_sets().into_iter().filter_map(of_frame_set).collect())
+    Some(views.map(of_view).collect())
 }
 
 /// The covariance of parameters whose covariance for unit noise is `unit`, from what some of the

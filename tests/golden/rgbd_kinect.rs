@@ -7,7 +7,7 @@ use std::path::Path;
 use std::process::{Command, Output};
 
 use nalgebra::{Point3, Vector3};
-use plumb::calibration::result::Calibration;
+use plumb::calibration::result::{Calibration, Grade};
 use plumb::calibration::rgbd_input::{DepthSensor, RgbdCapture, RgbdInput};
 use plumb::calibration::sensor::SensorId;
 use plumb::calibration::solve_rgbd::solve_rgbd;
@@ -84,8 +84,8 @@ fn fitted() -> Vec<usize> {
     fitted
 }
 
-fn calibrated(data: &Path) -> Calibration {
-    let output = answered(data, &fitted());
+fn calibrated(data: &Path, views: &[usize]) -> Calibration {
+    let output = answered(data, views);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let document: CalibrationDocument = serde_json::from_slice(&output.stdout).unwrap();
     Calibration::try_from(&document).unwrap()
@@ -109,15 +109,61 @@ fn answered(data: &Path, views: &[usize]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_plumb")).args(asked).output().unwrap()
 }
 
+/// What the calibration says of its lenses and of where depth is: numbers with their deviations.
+fn stated(calibration: &Calibration) -> Vec<(f64, f64)> {
+    let color = calibration.color().unwrap();
+    let depth = calibration.depth().unwrap();
+    let [target, source] = [SensorKind::Color, SensorKind::Depth].map(SensorId::own);
+    let place = calibration.pose(&target, &source).unwrap();
+    let pose = &place.target_from_source;
+    let lens = |lens: &Lens, std: &[f64]| -> Vec<(f64, f64)> {
+        (0..4).map(|k| (lens.parameters()[k], std[k])).collect()
+    };
+    let (rotation, translation) = (pose.rotation().scaled_axis(), pose.translation());
+    let of_rotation = (0..3).map(|k| (rotation[k], place.rotation_std[k]));
+    let of_translation = (0..3).map(|k| (translation[k], place.translation_std_m[k]));
+    let lenses =
+        [lens(&color.lens, &color.lens_std), lens(&depth.camera.lens, &depth.lens_std)].concat();
+    lenses.into_iter().chain(of_rotation).chain(of_translation).collect()
+}
+
+/// Most are far away and nearly frontal, and leave the depth lens open: without a prior the focal
+/// lengths that fit are 629 and 11 px.
 #[test]
-fn views_that_leave_the_depth_lens_open_are_refused_for_that() {
+fn few_views_are_answered_as_uncertainly_as_they_are() {
     let Some(data) = shared_data("kinect1-herrera") else { return };
-    // Most are far away and nearly frontal: the fitted focal lengths are 629 and 11 px.
-    let output = answered(&data, &[0, 3, 12, 15, 18, 24, 33]);
-    let line = String::from_utf8_lossy(&output.stderr);
-    assert!(!output.status.success());
-    assert!(line.contains("7 of 7 views have the board in the depth image"), "{line}");
-    assert!(line.contains("the lens that fits its planes does not see it there"), "{line}");
+    let calibration = calibrated(&data, &[0, 3, 12, 15, 18, 24, 33]);
+    // Color's and depth's lens as published from 54 views.
+    let published = [1059.7, 1053.3, 619.7, 513.7, 586.4, 583.9, 322.9, 229.8];
+    for ((number, std), published) in stated(&calibration).into_iter().zip(published) {
+        println!("{number:.1} ± {std:.1}, published {published}");
+        assert!((number - published).abs() < 4.0 * std && std > 0.004 * number);
+    }
+    assert_eq!(calibration.verdict.grade, Grade::Poor);
+}
+
+/// Halves of the views differ by as much as they say: what views share that no model has (how depth
+/// is off over the image, a board that is uneven) is in what they say.
+#[test]
+fn halves_of_the_views_agree_within_what_they_state() {
+    let Some(data) = shared_data("kinect1-herrera") else { return };
+    let mut views: Vec<usize> =
+        RANGES.iter().flat_map(|(_, views)| views.iter().map(|view| view.view)).collect();
+    views.sort_unstable();
+    let half = |rest: &[usize]| {
+        let own = views.iter().enumerate().filter(|(k, _)| rest.contains(&(k % 4)));
+        stated(&calibrated(&data, &own.map(|(_, view)| *view).collect::<Vec<_>>()))
+    };
+    let mut squares = Vec::new();
+    for (first, second) in [([0, 2], [1, 3]), ([0, 1], [2, 3]), ([0, 3], [1, 2])] {
+        let both = half(&first).into_iter().zip(half(&second));
+        squares.extend(
+            both.map(|((a, a_std), (b, b_std))| (a - b).powi(2) / a_std.hypot(b_std).powi(2)),
+        );
+    }
+    let z_rms = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
+    println!("{z_rms:.2} rms of {} differences over their deviations", squares.len());
+    assert!((0.5..1.4).contains(&z_rms), "{z_rms}");
 }
 
 fn numbers(value: &Value) -> Vec<f64> {
@@ -207,7 +253,7 @@ fn reference(data: &Path) -> Vec<Value> {
 #[test]
 fn planes_of_held_out_views_lie_closer_than_by_the_published_calibration() {
     let Some(data) = shared_data("kinect1-herrera") else { return };
-    let (calibration, views) = (calibrated(&data), reference(&data));
+    let (calibration, views) = (calibrated(&data, &fitted()), reference(&data));
     let color = &calibration.color().unwrap().lens;
     let [target, source] = [SensorKind::Color, SensorKind::Depth].map(SensorId::own);
     let pose = &calibration.pose(&target, &source).unwrap().target_from_source;
@@ -255,7 +301,7 @@ fn planes_of_held_out_views_lie_closer_than_by_the_published_calibration() {
 #[test]
 fn the_document_reprojects_as_it_says() {
     let Some(data) = shared_data("kinect1-herrera") else { return };
-    let calibration = calibrated(&data);
+    let calibration = calibrated(&data, &fitted());
     let color = calibration.color().unwrap();
     let board = Chessboard::new(BoardSize::new(8, 6).unwrap(), 0.04).unwrap();
     let (mut squares, mut count) = (0.0, 0.0);

@@ -1,7 +1,10 @@
 //! Estimates from corners: lenses, the board's poses, the infrared camera's pose, and its delay.
 
+use std::collections::BTreeSet;
+
 use nalgebra::{DMatrix, Matrix6, Vector3, Vector6};
 
+use crate::estimation::clustered_covariance::{FitCovariance, ReducedView};
 use crate::estimation::joint::linearize::{Columns, LocalEquations, linearize_observation};
 use crate::estimation::joint::minimize::{Stop, walk};
 use crate::estimation::joint::normal::{NormalEquations, Step, chain};
@@ -123,7 +126,10 @@ impl CornerBlocks {
             }
         }
         let equations = posed.linearized(&whole)?;
-        let covariance = equations.global_covariance()?;
+        let views: Option<Vec<ReducedView>> =
+            posed.seen_frame_sets().into_iter().map(|k| posed.part(&whole, k)).collect();
+        let covariance =
+            FitCovariance::of_views(equations.global_covariance()?, 1.0, &views?).all();
         let time_offset = posed.offset.map(|(at, before)| TimeOffset {
             seconds: whole.offset_s,
             std_s: covariance[(at, at)].max(0.0).sqrt(),
@@ -221,10 +227,38 @@ impl CornerProblem {
     }
 
     fn linearized(&self, whole: &CornerState) -> Option<NormalEquations> {
+        let mut equations = self.equations(whole, self.observations.iter())?;
+        if let Some((at, before)) = self.offset {
+            let off = (whole.offset_s - before.seconds) / before.std_s;
+            equations.cost += off * off;
+            equations.global_gradient[at] += off / before.std_s;
+            equations.global[(at, at)] += before.std_s.powi(-2);
+        }
+        Some(equations)
+    }
+
+    /// The frame sets with a corner that is used.
+    fn seen_frame_sets(&self) -> BTreeSet<usize> {
+        let used = self.observations.iter().filter(|observation| observation.used.contains(&true));
+        used.map(|observation| observation.frame_set).collect()
+    }
+
+    /// What a frame set says by itself.
+    fn part(&self, whole: &CornerState, frame_set: usize) -> Option<ReducedView> {
+        let own = self.observations.iter().filter(|observation| observation.frame_set == frame_set);
+        self.equations(whole, own)?.reduced(frame_set)
+    }
+
+    /// The normal equations of some observations.
+    fn equations<'a>(
+        &self,
+        whole: &CornerState,
+        observations: impl Iterator<Item = &'a BoardObservation>,
+    ) -> Option<NormalEquations> {
         let later = self.later(whole);
         let mut equations = NormalEquations::empty(self.layout.len, whole.rig.rig_from_board.len());
         let (mut columns, mut local) = (Columns::default(), LocalEquations::default());
-        for observation in &self.observations {
+        for observation in observations {
             let state = if observation.sensor == 0 { &whole.rig } else { &later };
             self.linearize_one(state, observation, &mut columns, &mut local)?;
             if observation.sensor == 1 {
@@ -241,12 +275,6 @@ impl CornerProblem {
                 chained,
                 &local,
             );
-        }
-        if let Some((at, before)) = self.offset {
-            let off = (whole.offset_s - before.seconds) / before.std_s;
-            equations.cost += off * off;
-            equations.global_gradient[at] += off / before.std_s;
-            equations.global[(at, at)] += before.std_s.powi(-2);
         }
         equations.mirror();
         Some(equations)

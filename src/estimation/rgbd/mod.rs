@@ -11,7 +11,9 @@
 //! Depth is measured by the infrared camera where there is one: they share lens and pose.
 
 mod corners;
+pub mod device_prior;
 pub mod motion;
+mod plane_covariance;
 pub mod plane_information;
 mod planes;
 mod pose_jitter;

@@ -11,6 +11,7 @@ use crate::estimation::joint::depth_terms::{
 use crate::estimation::joint::normal::{LocalBlock, NormalEquations};
 use crate::estimation::joint::{Layout, SensorLayout, State, moved};
 use crate::estimation::rgbd::BASE_SMOOTHNESS;
+pub use crate::estimation::rgbd::device_prior::LENS_PARAMETERS;
 use crate::estimation::rgbd::planes::tile_inverse_std;
 use crate::estimation::rgbd::problem::free;
 use crate::geometry::depth_camera::{DepthReading, DepthTile};
@@ -19,10 +20,8 @@ use crate::geometry::lens::Lens;
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::{Pose, pose_step};
 
-/// The parameters of a depth camera that planes determine begin with those of its lens: focal
-/// lengths and principal point.
-pub const LENS_PARAMETERS: usize = 4;
-/// The pose follows, as a step of `depth_from_color`: a rotation about depth's axes and a
+/// The parameters of a depth camera that planes determine begin with those of its lens. The pose
+/// follows, as a step of `depth_from_color`: a rotation about depth's axes and a
 /// translation.
 pub const POSE_AT: usize = LENS_PARAMETERS;
 /// The coefficients of the correction come last.

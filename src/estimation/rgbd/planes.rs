@@ -3,7 +3,7 @@
 //! too, else moved within what the corners leave open, so that a far board's uncertain tilt does
 //! not distort the lens.
 
-use nalgebra::{DMatrix, Matrix6, Vector3};
+use nalgebra::{Matrix6, Vector3};
 
 use crate::estimation::depth_error::{JudgedTile, Prior, Smoothness, TriedCorrection};
 use crate::estimation::error::EstimationError;
@@ -12,6 +12,7 @@ use crate::estimation::joint::minimize::{Stop, walk};
 use crate::estimation::joint::normal::{LocalBlock, NormalEquations, Step};
 use crate::estimation::joint::{Layout, SensorLayout, State};
 use crate::estimation::rgbd::corners::CornerBlocks;
+use crate::estimation::rgbd::device_prior::{LENS_PARAMETERS, add_prior};
 use crate::estimation::rgbd::problem::{
     DepthLens, RgbdEstimate, RgbdProblem, free, with_origin_at,
 };
@@ -30,16 +31,16 @@ const LEAST_READING_STDS: f64 = 0.1;
 /// The problem of the planes.
 pub(super) struct Planes<'a> {
     problem: &'a RgbdProblem,
-    layout: Layout,
-    planes: Vec<PlaneObservation>,
+    pub(super) layout: Layout,
+    pub(super) planes: Vec<PlaneObservation>,
     /// Each board's pose by corners with its normal equations, where planes may move it within what
     /// corners leave open.
-    anchors: Option<Vec<Anchor>>,
+    pub(super) anchors: Option<Vec<Anchor>>,
 }
 
 /// A board's pose by corners: the square of their equations there.
 #[derive(Clone)]
-struct Anchor {
+pub(super) struct Anchor {
     rig_from_board: Pose,
     square: Matrix6<f64>,
 }
@@ -53,11 +54,11 @@ struct PlaneState {
 
 pub(super) struct Fit {
     pub(super) state: State,
-    correction: DepthCorrection,
-    equations: NormalEquations,
-    tile_noise: f64,
+    pub(super) correction: DepthCorrection,
+    pub(super) equations: NormalEquations,
+    pub(super) tile_noise: f64,
     /// By how much the mean of many tiles scatters more than if each erred by itself.
-    together: f64,
+    pub(super) together: f64,
 }
 
 impl Fit {
@@ -68,10 +69,6 @@ impl Fit {
         (terms > 2).then(|| DepthCorrection::none(quantity, terms - 1, grid, seen_m))
     }
 }
-
-/// A lens or pose that the form of the correction moves by more than this many standard deviations
-/// is known no better than that.
-const FORM_LIMIT: f64 = 3.0;
 
 impl<'a> Planes<'a> {
     /// `depth_state` has each board where it was when depth was taken; `by_corners` what corners
@@ -88,9 +85,11 @@ impl<'a> Planes<'a> {
             DepthLens::Infrared => {
                 SensorLayout { lens: known(depth_lens), lens_at: 0, pose_at: None }
             }
-            DepthLens::FromPlanes => {
-                SensorLayout { lens: free(depth_lens, 4), lens_at: 0, pose_at: Some(4) }
-            }
+            DepthLens::FromPlanes => SensorLayout {
+                lens: free(depth_lens, LENS_PARAMETERS),
+                lens_at: 0,
+                pose_at: Some(LENS_PARAMETERS),
+            },
             DepthLens::Known => {
                 SensorLayout { lens: known(depth_lens), lens_at: 0, pose_at: Some(0) }
             }
@@ -274,59 +273,6 @@ impl<'a> Planes<'a> {
         views
     }
 
-    /// The covariance of lens and pose by planes: by the tiles' scatter, and by that of the
-    /// corners' answer, which moves all planes of a view together and, through color's lens, those
-    /// of all views.
-    fn covariance(&self, corners: &CornerBlocks, fit: &Fit) -> Option<DMatrix<f64>> {
-        let own = fit.equations.global_covariance()? * (fit.together * fit.together);
-        let size = own.nrows();
-        let mut by_lens = DMatrix::zeros(size, corners.covariance.nrows());
-        // The planes' equations hold the corners' of each pose, and so its own scatter: what is
-        // left is that of color's lens, which moves the corners' poses of all views.
-        for (frame_set, block) in fit.equations.frame_sets.iter().enumerate() {
-            let Some(factor) = Matrix6::from_fn(|a, b| block.hessian[a][b]).cholesky() else {
-                continue;
-            };
-            let (planes, corners) =
-                (fit.equations.coupling_of(frame_set), corners.equations.coupling_of(frame_set));
-            let coupled = DMatrix::from_fn(size, 6, |k, a| planes[k][a]);
-            let inverse = factor.inverse();
-            let inverse = DMatrix::from_fn(6, 6, |a, b| inverse[(a, b)]);
-            let through = DMatrix::from_fn(6, by_lens.ncols(), |a, k| corners[k][a]);
-            by_lens += &coupled * inverse * through;
-        }
-        let unscaled = fit.equations.global_covariance()?;
-        let moved = &unscaled * by_lens;
-        Some(own + &moved * &corners.covariance * moved.transpose())
-    }
-
-    /// What another form of the correction does to lens and pose, as their variances; nothing where
-    /// it is within chance.
-    fn by_form(&self, fit: &Fit, other: Option<&Fit>, covariance: &DMatrix<f64>) -> DMatrix<f64> {
-        let sensor = &self.layout.sensors[1];
-        let mut step = nalgebra::DVector::zeros(covariance.nrows());
-        if let Some(other) = other {
-            let [before, after] = [fit, other].map(|fit| fit.state.lenses[1].parameters());
-            for (k, index) in sensor.lens.free.iter().enumerate() {
-                step[sensor.lens_at + k] = after[*index] - before[*index];
-            }
-            if let Some(at) = sensor.pose_at {
-                let [before, after] = [fit, other].map(|fit| fit.state.sensor_from_rig[1]);
-                let rotation = (after.rotation() * before.rotation().inverse()).scaled_axis();
-                let translation = after.translation() - before.translation();
-                (0..3)
-                    .for_each(|k| (step[at + k], step[at + 3 + k]) = (rotation[k], translation[k]));
-            }
-        }
-        let beyond_chance = (0..step.len())
-            .any(|k| step[k].abs() > FORM_LIMIT * covariance[(k, k)].max(0.0).sqrt());
-        if beyond_chance {
-            &step * step.transpose()
-        } else {
-            DMatrix::zeros(step.len(), step.len())
-        }
-    }
-
     pub(super) fn assemble(
         &self,
         corners: &CornerBlocks,
@@ -419,6 +365,11 @@ fn linearized(
             anchor.hold(pose, &mut equations.cost, &mut equations.frame_sets[plane.frame_set]);
         }
     }
+    let depth = &layout.sensors[1].lens;
+    if depth.free.len() == LENS_PARAMETERS {
+        let size = whole.correction.grid.size;
+        add_prior(&mut equations, layout.sensors[1].lens_at, &whole.rig.lenses[1], size);
+    }
     let size = whole.correction.coefficients.len();
     let coefficients = nalgebra::DVector::from_column_slice(&whole.correction.coefficients);
     let pull = &prior.hessian * &coefficients;
@@ -439,7 +390,7 @@ fn linearized(
 
 impl Anchor {
     /// Adds the corners' equations about their own answer.
-    fn hold(&self, rig_from_board: &Pose, cost: &mut f64, block: &mut LocalBlock) {
+    pub(super) fn hold(&self, rig_from_board: &Pose, cost: &mut f64, block: &mut LocalBlock) {
         let rotation =
             (rig_from_board.rotation() * self.rig_from_board.rotation().inverse()).scaled_axis();
         let translation = rig_from_board.translation() - self.rig_from_board.translation();
@@ -462,7 +413,7 @@ pub(super) fn tile_inverse_std(reading: DepthReading, tile: &DepthTile) -> f64 {
     1.0 / (reading_std * (1.0 / f64::from(tile.count)).sqrt().max(LEAST_READING_STDS))
 }
 
-fn scaled(plane: &PlaneObservation, noise: f64) -> PlaneObservation {
+pub(super) fn scaled(plane: &PlaneObservation, noise: f64) -> PlaneObservation {
     PlaneObservation {
         inverse_std: plane.inverse_std.iter().map(|s| s / noise).collect(),
         ..plane.clone()
