@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use serde_json::{Value, json};
 
 use crate::program::plumb;
-use crate::served::Served;
+use crate::served::{Served, repeating};
 
 /// An image of a board of inner corners, seen straight on, before white.
 struct Straight {
@@ -128,10 +128,7 @@ fn a_session_counts_and_reports_each_reason_by_its_own_name() {
     for (name, image, _) in &images {
         std::fs::write(recording.join(format!("{name}.pgm")), image.pgm()).unwrap();
     }
-    let path = recording.display().to_string();
-    let source = format!("{{ kind = \"recording\", path = {path:?}, fps = 200, repeat = true }}");
-    let served =
-        Served::start(folder.path(), &format!("[[camera]]\nname = \"front\"\nsource = {source}\n"));
+    let served = Served::start(folder.path(), &repeating("front", &recording));
     let mut events = served.events("?camera=front", None);
     let target = json!({"kind": "chessboard", "cols": 9, "rows": 6, "square_m": 0.025});
     let session = served.post("/v1/cameras/front/sessions", &json!({ "target": target })).json();

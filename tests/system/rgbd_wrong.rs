@@ -10,7 +10,7 @@ use plumb::recording::{ReadOptions, Recording};
 use serde_json::{Value, json};
 
 use crate::program::{Finished, plumb};
-use crate::served::{Served, recording};
+use crate::served::{Served, recording, repeating};
 
 const STATED: &str = "[depth]\nkind = \"depth\"\nunit_m = 0.001\n";
 
@@ -288,10 +288,7 @@ fn a_session_says_which_color_image_is_missing() {
     let place = folder.path().join("box");
     fs::create_dir(&place).unwrap();
     write(&place, &taken()[..4], Change::NoColor, false);
-    let path = place.display().to_string();
-    let source = format!("{{ kind = \"recording\", path = {path:?}, fps = 100, repeat = true }}");
-    let served =
-        Served::start(folder.path(), &format!("[[camera]]\nname = \"front\"\nsource = {source}\n"));
+    let served = Served::start(folder.path(), &repeating("front", &place));
     let mut events = served.events("?camera=front", None);
     let target = json!({"kind": "chessboard", "cols": 9, "rows": 6, "square_m": 0.04});
     let session = served.post("/v1/cameras/front/sessions", &json!({ "target": target })).json();

@@ -266,3 +266,11 @@ pub fn replaying(camera: &str, name: &str) -> String {
         "[[camera]]\nname = {camera:?}\nsource = {{ kind = \"recording\", path = {path:?}, pace = \"fastest\", repeat = true }}\n"
     )
 }
+
+/// The configuration of one camera that replays a folder of images again and again.
+pub fn repeating(camera: &str, folder: &Path) -> String {
+    let path = folder.display().to_string();
+    format!(
+        "[[camera]]\nname = {camera:?}\nsource = {{ kind = \"recording\", path = {path:?}, fps = 200, repeat = true }}\n"
+    )
+}

@@ -21,8 +21,7 @@ use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::{Pose, pose_step};
 
 /// The parameters of a depth camera that planes determine begin with those of its lens. The pose
-/// follows, as a step of `depth_from_color`: a rotation about depth's axes and a
-/// translation.
+/// follows, as a step of `depth_from_color`: a rotation about depth's axes and a translation.
 pub const POSE_AT: usize = LENS_PARAMETERS;
 /// The coefficients of the correction come last.
 pub const CORRECTION_AT: usize = POSE_AT + 6;
