@@ -157,9 +157,8 @@ fn determined_by(
             grid.remove(i, j);
         }
     }
-    let again = grid.anchored_bounds().and_then(|bounds| {
-        let (_, sure) = seen_ends(probe, grid, bounds);
-        place(grid, bounds, sure, board)
-    });
+    let again = grid
+        .anchored_bounds()
+        .and_then(|bounds| place(grid, bounds, seen_ends(probe, grid, bounds).sure, board));
     BoardPlacement { known: again == Some(placement), ..placement }
 }

@@ -193,6 +193,20 @@ fn a_smaller_board_in_its_place_is_answered_as_by_a_search() {
     }
 }
 
+/// Of all that `a_smaller_board_in_its_place` shows, and other such images, those in which coarse
+/// pixels hide a line of corners that the image itself shows.
+#[test]
+fn a_board_that_goes_on_is_not_taken_for_a_smaller_one() {
+    for (asked, shown, seed) in [("4x4", "5x4", 106), ("4x4", "5x4", 128), ("7x5", "7x6", 1)] {
+        let mut stream = Stream::new(7000 + seed, asked.parse().unwrap());
+        let board = stream.board;
+        stream.board = shown.parse().unwrap();
+        let scene = stream.scene(None);
+        let answer = Detector::new(board).find_board(scene.image.view(), &DetectOptions::default());
+        assert!(answer.is_err(), "a {shown} board, {seed}, is answered as {asked}: {answer:?}");
+    }
+}
+
 #[test]
 fn the_same_images_give_the_same_bits() {
     let walk = || {

@@ -81,6 +81,11 @@ impl Bounds {
     pub(in crate::detection) fn height(&self) -> i32 {
         self.j.1 - self.j.0 + 1
     }
+
+    /// Whether (i, j) lies within.
+    pub(in crate::detection) fn contains(&self, i: i32, j: i32) -> bool {
+        (self.i.0..=self.i.1).contains(&i) && (self.j.0..=self.j.1).contains(&j)
+    }
 }
 
 /// Corners by index. Memory is kept from grid to grid.

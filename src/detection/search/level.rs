@@ -13,7 +13,7 @@ use crate::detection::search::pyramid::Pyramid;
 use crate::detection::search::response::Response;
 use crate::detection::search::seeds::{Neighborhood, Seed};
 use crate::detection::verify::consistency::verify;
-use crate::detection::verify::ends::seen_ends;
+use crate::detection::verify::ends::{SeenEnds, seen_ends};
 use crate::detection::verify::placement::{BoardPlacement, place};
 use crate::geometry::board::BoardSize;
 
@@ -212,7 +212,14 @@ impl LevelSearch {
             evidence.largest = count;
             evidence.size = (longer(bounds), shorter(bounds));
         }
-        match placement(scene, grid, bounds) {
+        let ends = seen_ends(probe, grid, bounds);
+        if is_whole(grid, board)
+            && ends.goes_on.contains(&true)
+            && let Some(larger) = larger_bounds(scene, growth, grid, bounds)
+        {
+            return GridOutcome::other(larger);
+        }
+        match placement(scene, grid, bounds, ends) {
             Some(placement) if is_whole(grid, board) => GridOutcome::Whole(placement),
             Some(placement)
                 if count >= least_part(board, thresholds)
@@ -226,9 +233,37 @@ impl LevelSearch {
     }
 }
 
+/// The bounds of the grid of which `grid`, as large as the whole board, is a part: corners beyond it
+/// that a coarser level had no room to measure, two at least on a line. `None` if there are none.
+fn larger_bounds(
+    scene: &SearchScene<'_>,
+    growth: &mut Growth,
+    grid: &mut Grid,
+    bounds: Bounds,
+) -> Option<Bounds> {
+    let (probe, board) = (scene.probe, scene.board);
+    grid.forget_attempts();
+    growth.grow_to(probe, grid, &probe.thresholds.windows.0, most_corners(board));
+    let larger = grid.anchored_bounds().filter(|&larger| larger != bounds);
+    if larger.is_some() && verify(probe, grid) && grid.anchored_bounds() == larger {
+        return larger;
+    }
+    for index in (0..grid.members.len()).rev() {
+        let (i, j) = grid.members[index];
+        if !bounds.contains(i, j) {
+            grid.remove(i, j);
+        }
+    }
+    None
+}
+
 /// Where the board can lie in the grid, given all its visible ends.
-fn placement(scene: &SearchScene<'_>, grid: &Grid, bounds: Bounds) -> Option<BoardPlacement> {
-    let (possible, sure) = seen_ends(scene.probe, grid, bounds);
-    place(grid, bounds, possible, scene.board)?;
-    place(grid, bounds, sure, scene.board)
+fn placement(
+    scene: &SearchScene<'_>,
+    grid: &Grid,
+    bounds: Bounds,
+    ends: SeenEnds,
+) -> Option<BoardPlacement> {
+    place(grid, bounds, ends.possible, scene.board)?;
+    place(grid, bounds, ends.sure, scene.board)
 }

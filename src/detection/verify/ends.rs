@@ -11,14 +11,20 @@ use crate::detection::measure::edges::sample;
 use crate::detection::thresholds::chessboard::EndThresholds;
 use crate::detection::verify::placement::Ends;
 
-/// Which sides of `grid` are visible ends of the board: first those that may be, and of these those
-/// that must be. An occluder along a line may pass for an end at one pair of squares, hardly at
-/// two, and not along half of the line.
-pub(in crate::detection) fn seen_ends(
-    probe: Probe<'_>,
-    grid: &Grid,
-    bounds: Bounds,
-) -> (Ends, Ends) {
+/// What the sides of a grid show.
+#[derive(Debug, Clone, Copy)]
+pub(in crate::detection) struct SeenEnds {
+    /// Sides that may be the board's ends.
+    pub possible: Ends,
+    /// Sides that must be: an occluder along a line may pass for an end at one pair of squares,
+    /// hardly at two, and not along half of the line.
+    pub sure: Ends,
+    /// Sides beyond which squares seem to go on alternating.
+    pub goes_on: Ends,
+}
+
+/// Which sides of `grid` are visible ends of the board.
+pub(in crate::detection) fn seen_ends(probe: Probe<'_>, grid: &Grid, bounds: Bounds) -> SeenEnds {
     let columns =
         |i: i32, outward: i32| side(probe, grid, bounds.j, outward, |along| (i, along), (1, 0));
     let rows =
@@ -30,7 +36,11 @@ pub(in crate::detection) fn seen_ends(
         rows(bounds.j.1, 1),
     ];
     let thresholds = &probe.thresholds.ends;
-    (sides.map(|side| side.may_end(thresholds)), sides.map(|side| side.must_end(thresholds)))
+    SeenEnds {
+        possible: sides.map(|side| side.may_end(thresholds)),
+        sure: sides.map(|side| side.must_end(thresholds)),
+        goes_on: sides.map(|side| side.continued > side.ending),
+    }
 }
 
 /// Evidence from the pairs of neighboring squares outside a line of corners.
