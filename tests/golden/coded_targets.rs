@@ -453,6 +453,49 @@ fn april_grids_of_any_geometry_are_named() {
     }
 }
 
+/// `image` with all of the sheet beyond the line `y_m` covered.
+fn cover_beyond(
+    (image, pixel_from_sheet): &(GrayImage, Matrix3<f64>),
+    (y_m, downward): (f64, bool),
+    gray: f64,
+) -> GrayImage {
+    let sheet_from_pixel = pixel_from_sheet.try_inverse().expect("a map");
+    paint(image, |x, y| {
+        let place = sheet_from_pixel * Vector3::new(x, y, 1.0);
+        let is_covered = (place.y / place.z > y_m) == downward;
+        (if is_covered { 1.0 } else { 0.0 }, gray)
+    })
+}
+
+#[test]
+fn a_board_is_not_named_as_whole_where_its_last_row_may_be_hidden() {
+    let boards = [
+        Target::Charuco(charuco("DICT_4X4_50", 5, false)),
+        Target::Charuco(charuco("DICT_6X6_250", 6, true)),
+        Target::AprilGrid(april_grid("tag36h11", 2, 0)),
+        Target::AprilGrid(april_grid("tag36h11", 1, 0)),
+    ];
+    for (number, target) in boards.iter().enumerate() {
+        let seen = image(target, 700 + number as u64);
+        let whole = recognize(seen.0.view()).unwrap_or_else(|| panic!("{target}: nothing"));
+        assert!(!whole.may_go_on, "{target} is named {whole}");
+        let print = PrintedBoard::of(target);
+        let y_m = |row: u32| print.corner(target, target.corner_id(0, row)).expect("a corner").y;
+        let rows = target.lattice().rows;
+        // A little before the last line of corners, or the last row of tags.
+        let before = if matches!(target, Target::Charuco(_)) { 1 } else { 2 };
+        let (near, far) = (y_m(rows - before - 1), y_m(rows - before));
+        let line = (far - 0.3 * (far - near), far > near);
+        for gray in [30.0, 70.0, 110.0] {
+            let part = recognize(cover_beyond(&seen, line, gray).view());
+            let part = part.unwrap_or_else(|| panic!("{target}, {gray}: nothing"));
+            assert!(part.may_go_on, "{target}, its last row covered, is named {part}");
+            let words = "or more rows, hidden or beyond the image";
+            assert!(part.to_string().contains(words), "{part}");
+        }
+    }
+}
+
 #[test]
 fn the_board_that_is_seen_in_place_of_another_is_named() {
     let board = charuco("DICT_4X4_50", 5, true);

@@ -16,7 +16,7 @@ const ALONG: [f32; 5] = [0.4, 0.45, 0.5, 0.55, 0.6];
 /// Rows of a board of which no corner is seen.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct UnseenRows {
-    /// Another row above or below would lie beyond the image: there may be more.
+    /// Above or below, the board is not seen to end: there may be more.
     pub may_go_on: bool,
     /// One of the board's own rows would lie within the image: it has fewer.
     pub missing_in_view: bool,
@@ -69,11 +69,9 @@ impl TargetDetector {
             });
             2 * seen.count() >= across as usize
         };
-        // Of an AprilGrid a row more has two lines of corners, the far one of which decides.
-        let next = i32::from(self.sheets.alternates());
         let is_seen = |row: i32| detection.corners.iter().any(|corner| corner.index.row == row);
         UnseenRows {
-            may_go_on: ![down + next, -1 - next].into_iter().all(in_view),
+            may_go_on: !self.ends_are_seen(image, detection),
             missing_in_view: (0..down).any(|row| !is_seen(row) && in_view(row)),
         }
     }

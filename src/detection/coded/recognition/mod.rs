@@ -6,6 +6,7 @@
 
 mod cells;
 mod codes;
+mod end_rows;
 mod measure;
 mod shape;
 
@@ -36,7 +37,7 @@ pub struct RecognizedBoard {
     pub target: Target,
     /// Its corners in the image.
     pub detection: TargetDetection,
-    /// The next row would lie beyond the image: the board may have more.
+    /// Its end above or below is hidden, or beyond the image: it may have more rows.
     pub may_go_on: bool,
 }
 
@@ -60,7 +61,7 @@ impl fmt::Display for RecognizedBoard {
             write!(f, ", black and white exchanged")?;
         }
         if self.may_go_on {
-            write!(f, " (or more rows, beyond the image)")?;
+            write!(f, " (or more rows, hidden or beyond the image)")?;
         }
         Ok(())
     }
