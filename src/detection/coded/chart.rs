@@ -31,6 +31,10 @@ pub(super) struct Chart {
     pub reach: i32,
 }
 
+/// A column's or a row's terms of the three numbers of a homography.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct ChartLine([f64; 3]);
+
 /// A crossing: its place in the lattice, its pixel, and its weight.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ChartPair {
@@ -133,13 +137,33 @@ impl Chart {
 
     /// Where it puts the place (x, y); `None` behind the camera.
     pub(super) fn at(&self, x: f32, y: f32) -> Option<Vec2> {
+        self.at_crossing(self.column(x), self.row(y))
+    }
+
+    /// What all places with this x have in common.
+    #[inline(always)]
+    pub(super) fn column(&self, x: f32) -> ChartLine {
         let i = (f64::from(x) - self.middle[0]) / self.spread;
+        let h = &self.h;
+        ChartLine([h[0] * i, h[3] * i, 1.0 + h[6] * i])
+    }
+
+    /// What all places with this y have in common.
+    #[inline(always)]
+    pub(super) fn row(&self, y: f32) -> ChartLine {
         let j = (f64::from(y) - self.middle[1]) / self.spread;
         let h = &self.h;
-        let w = 1.0 + h[6] * i + h[7] * j;
+        ChartLine([h[1] * j, h[4] * j, h[7] * j])
+    }
+
+    /// Where it puts the place that a column and a row have in common; `None` behind the camera.
+    #[inline(always)]
+    pub(super) fn at_crossing(&self, column: ChartLine, row: ChartLine) -> Option<Vec2> {
+        let (ChartLine([u, v, w]), ChartLine([du, dv, dw])) = (column, row);
+        let (h, w) = (&self.h, w + dw);
         (w > 0.05).then(|| {
-            let u = (h[0] * i + h[1] * j + h[2]) / w * self.scale + self.mean[0];
-            let v = (h[3] * i + h[4] * j + h[5]) / w * self.scale + self.mean[1];
+            let u = (u + du + h[2]) / w * self.scale + self.mean[0];
+            let v = (v + dv + h[5]) / w * self.scale + self.mean[1];
             Vec2::new(u as f32, v as f32)
         })
     }

@@ -171,7 +171,7 @@ impl TargetDetector {
             return Err(NoTarget::ImageTooSmall { width, height, target });
         }
         let coarsest = coarsest_level(image.size(), 1);
-        self.pyramid.build(image, coarsest);
+        self.pyramid.build(image, 0);
         let mut seen = Unlabeled::default();
         for level in self.levels(image, coarsest) {
             let search = LatticeSearch::Boards;
@@ -262,6 +262,7 @@ impl TargetDetector {
         (level, search): (usize, LatticeSearch),
         seen: &mut Unlabeled,
     ) -> Option<BoardLabel> {
+        self.pyramid.extend(image, level);
         let pyramid = std::mem::take(&mut self.pyramid);
         let view = pyramid.level(image, level);
         self.prepare(view, seen);

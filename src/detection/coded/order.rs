@@ -38,16 +38,18 @@ fn reach(image: GrayView<'_>, candidate: &Candidate) -> usize {
             _ => return 0,
         }
     };
-    let run = |way: Vec2, sign: f32| {
-        let way = way / way.norm().max(1e-3);
-        SQUARE_DISTANCES_PX
-            .iter()
-            .take_while(|&&distance| {
-                let (p, q) = (candidate.pixel + way * distance, candidate.pixel - way * distance);
-                let holds = |p| sample(image, p).is_some_and(|v| (v - middle) * sign > 0.0);
-                holds(p) && holds(q)
-            })
-            .count()
+    let reaches = |way: Vec2, sign: f32, distance: f32| {
+        let holds = |p| sample(image, p).is_some_and(|v| (v - middle) * sign > 0.0);
+        holds(candidate.pixel + way * distance) && holds(candidate.pixel - way * distance)
     };
-    run(dark, -1.0).max(run(bright, 1.0))
+    let run = |way: Vec2, sign: f32| {
+        SQUARE_DISTANCES_PX.iter().take_while(|&&distance| reaches(way, sign, distance)).count()
+    };
+    let [bright, dark] = [bright, dark].map(|way| way / way.norm().max(1e-3));
+    let of_dark = run(dark, -1.0);
+    // The bright ones matter only where they reach farther.
+    match SQUARE_DISTANCES_PX.get(of_dark) {
+        Some(&farther) if reaches(bright, 1.0, farther) => of_dark.max(run(bright, 1.0)),
+        _ => of_dark,
+    }
 }

@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use crate::detection::coded::chart::{Chart, ChartPair};
+use crate::detection::coded::chart::{Chart, ChartLine, ChartPair};
 use crate::detection::coded::sheet::{IN_CODE_CELL, Sheet, Sheets, unit};
 use crate::detection::grid::Grid;
 use crate::detection::measure::edges::sample;
@@ -42,6 +42,8 @@ pub(super) struct MarkerReading {
     /// The best of each cell.
     best: Vec<f32>,
     values: Vec<f32>,
+    /// Of the payload of a cell: its columns, each where its cells are sampled.
+    columns: Vec<[ChartLine; 4]>,
     pairs: Vec<ChartPair>,
 }
 
@@ -126,22 +128,22 @@ impl MarkerReading {
     ) -> Option<f32> {
         let chart = Chart::near(grid, sheets, (i, j), None, &mut self.pairs)?;
         let side = sheets.widths[0];
-        let (left, top) = (sheets.line(i), sheets.line(j));
-        let n = sheets.bits;
-        let step = (1.0 - 2.0 * sheet.inset) * side / n as f32;
-        let at = |part: f32| sheet.inset * side + part * step;
-        self.values.clear();
-        for row in 0..n {
-            for col in 0..n {
-                let mut sum = 0.0;
-                for (dx, dy) in IN_CODE_CELL {
-                    let p = chart.at(left + at(col as f32 + dx), top + at(row as f32 + dy))?;
-                    sum += sample(image, p)?;
-                }
-                self.values.push(sum / 4.0);
-            }
+        let step = (1.0 - 2.0 * sheet.inset) * side / sheets.bits as f32;
+        let first = [i, j].map(|k| sheets.line(k));
+        let at = |axis: usize, part: f32| first[axis] + (sheet.inset * side + part * step);
+        let Self { values, columns, .. } = self;
+        columns.clear();
+        columns.extend(
+            (0..sheets.bits)
+                .map(|col| IN_CODE_CELL.map(|(dx, _)| chart.column(at(0, col as f32 + dx)))),
+        );
+        values.clear();
+        for row in 0..sheets.bits {
+            let rows = IN_CODE_CELL.map(|(_, dy)| chart.row(at(1, row as f32 + dy)));
+            let cells = SampleCells { image, chart: &chart, columns, rows, values };
+            pulp::Arch::new().dispatch(cells)?;
         }
-        Some(unit(&mut self.values) / n as f32)
+        Some(unit(values) / sheets.bits as f32)
     }
 
     fn compare(&mut self, sheets: &Sheets, at: (i32, i32), depth: f32, contrast: f32) {
@@ -161,6 +163,33 @@ impl MarkerReading {
     /// The best agreement of the `cell`-th cell with any marker in any rotation.
     pub(super) fn best(&self, cell: usize) -> f32 {
         self.best.get(cell).copied().unwrap_or(-1.0)
+    }
+}
+
+/// Samples a row of a payload's cells. A struct, not a closure: all of it must be inlined to be
+/// compiled for the processor.
+struct SampleCells<'a> {
+    image: GrayView<'a>,
+    chart: &'a Chart,
+    columns: &'a [[ChartLine; 4]],
+    rows: [ChartLine; 4],
+    values: &'a mut Vec<f32>,
+}
+
+impl pulp::NullaryFnOnce for SampleCells<'_> {
+    type Output = Option<()>;
+
+    #[inline(always)]
+    fn call(self) -> Option<()> {
+        let Self { image, chart, columns, rows, values } = self;
+        for columns in columns {
+            let mut sum = 0.0;
+            for (column, row) in columns.iter().zip(rows) {
+                sum += sample(image, chart.at_crossing(*column, row)?)?;
+            }
+            values.push(sum / 4.0);
+        }
+        Some(())
     }
 }
 

@@ -97,10 +97,14 @@ pub(super) fn joint_step(
         normal[(k, k)] += (LIGHT_STD * unit).powi(-2);
     }
     let factors = normal.cholesky()?;
-    let (solution, covariance) = (factors.solve(&right), factors.inverse());
+    let solution = factors.solve(&right);
     let step = std::array::from_fn(|k| solution[TERMS + k]);
     let (a, b) = (TERMS + OFFSETS, TERMS + OFFSETS + 1);
-    let offset_covariance = [covariance[(a, a)], covariance[(b, a)], covariance[(b, b)]];
+    // The inverse's columns of the two offsets.
+    let mut covariance = SMatrix::<f64, JOINT, 2>::zeros();
+    (covariance[(a, 0)], covariance[(b, 1)]) = (1.0, 1.0);
+    factors.solve_mut(&mut covariance);
+    let offset_covariance = [covariance[(a, 0)], covariance[(b, 0)], covariance[(b, 1)]];
     Some(JointStep { step, offset_covariance })
 }
 

@@ -29,11 +29,19 @@ impl LevelPixels {
 impl Pyramid {
     /// Builds the levels 1 to `coarsest` of `image`.
     pub(in crate::detection) fn build(&mut self, image: GrayView<'_>, coarsest: usize) {
+        self.built = 0;
+        self.extend(image, coarsest);
+    }
+
+    /// Builds those of the levels up to `coarsest` that are not built yet, of the `image` that the
+    /// others were built from.
+    pub(in crate::detection) fn extend(&mut self, image: GrayView<'_>, coarsest: usize) {
         if self.levels.len() < coarsest {
             self.levels.resize_with(coarsest, LevelPixels::default);
         }
-        self.built = coarsest;
-        for level in 0..coarsest {
+        let built = self.built;
+        self.built = built.max(coarsest);
+        for level in built..coarsest {
             let (below, from) = self.levels.split_at_mut(level);
             let source = below.last().and_then(LevelPixels::view).unwrap_or(image);
             if let Some(plane) = from.first_mut() {
@@ -119,6 +127,21 @@ mod tests {
         let quarter = pyramid.level(image.view(), 2);
         assert_eq!((quarter.width(), quarter.height()), (1, 1));
         assert_eq!(pyramid.level(image.view(), 0).row(3), image.row(3));
+    }
+
+    #[test]
+    fn levels_that_are_built_later_are_those_of_the_same_image() {
+        let filled = |value: u8| GrayImage::filled(8, 8, value);
+        let (before, image) = (filled(9), filled(70));
+        let mut pyramid = Pyramid::default();
+        pyramid.build(before.view(), 3);
+        pyramid.build(image.view(), 0);
+        assert_eq!(pyramid.level(image.view(), 2).width(), 8);
+        pyramid.extend(image.view(), 1);
+        pyramid.extend(image.view(), 2);
+        pyramid.extend(image.view(), 1);
+        let quarter = pyramid.level(image.view(), 2);
+        assert_eq!((quarter.width(), quarter.row(0)), (2, &[70, 70][..]));
     }
 
     #[test]
