@@ -30,7 +30,8 @@ use plumb::calibration::information::projection_goal::{GoalFigure, ProjectionGoa
 use plumb::calibration::information::transfer_goal::TransferGoal;
 use plumb::calibration::information::view_information::{ViewNormal, view_information};
 use plumb::calibration::view::{FrameFacts, View, target_as_seen};
-use plumb::cli::simulate::operated::{OperatedOutcome, OperatedSession, OperatorName, summary};
+use plumb::cli::simulate::operated::{OperatedSession, OperatorName};
+use plumb::cli::simulate::operated_outcome::{OperatedOutcome, summary};
 use plumb::detection::board_detection::DetectOptions;
 use plumb::detection::finder::TargetFinder;
 use plumb::document::target_file::target_from_text;

@@ -1,6 +1,7 @@
 //! `plumb simulate`: renders a recording, with what is true of it inside and beside it.
 
 pub mod operated;
+pub mod operated_outcome;
 mod scene;
 
 use std::collections::BTreeMap;

@@ -6,7 +6,6 @@ use nalgebra::{Point3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
-use serde::Serialize;
 
 use crate::calibration::admission::AdmissionOptions;
 use crate::calibration::guidance::advise;
@@ -18,6 +17,7 @@ use crate::calibration::session::camera::CameraPart;
 use crate::calibration::session::{Action, Session};
 use crate::calibration::session_record::{Finish, RunningEstimate, SessionRecord, SessionRequest};
 use crate::calibration::view::FrameFacts;
+use crate::cli::simulate::operated_outcome::{OperatedOutcome, summary};
 use crate::cli::{Failure, output};
 use crate::detection::board_detection::{DetectedCorner, Detection, GridIndex, NoBoard};
 use crate::estimation::board_pose::board_poses;
@@ -90,35 +90,6 @@ pub struct OperatedSession {
     pub size: ImageSize,
     /// The board.
     pub board: Chessboard,
-}
-
-/// How a session went.
-#[derive(Debug, Clone, Serialize)]
-pub struct OperatedOutcome {
-    /// Its seed.
-    pub seed: u64,
-    /// The lens and the board.
-    pub setting: String,
-    /// Whether it ended by itself in time.
-    pub reached: bool,
-    /// Views kept.
-    pub views: u32,
-    /// Seconds of the operator's time.
-    pub seconds: f64,
-    /// The median and the worst predicted uncertainty over the image, in pixels.
-    pub predicted_px: [f64; 2],
-    /// The true errors there likewise: the median and the greatest length.
-    pub error_px: [f64; 2],
-    /// The error of fx over its standard deviation.
-    pub focal_ratio: f64,
-    /// The parts of the errors, along the principal axes of their predicted covariance and over the
-    /// image, within one and two standard deviations.
-    pub within: [f64; 2],
-    /// After each estimate: views, seconds, the median and the worst predicted uncertainty over the
-    /// image, in pixels.
-    pub course: Vec<(u32, f64, f64, f64)>,
-    /// How many more views it said it takes: at least and at most, after so many.
-    pub to_go: Vec<(u32, [u32; 2])>,
 }
 
 /// As sessions have it: fewer views are not worth stopping for.
@@ -381,16 +352,6 @@ impl OperatedSession {
     }
 }
 
-impl OperatedOutcome {
-    /// Whether each number of views that it said it takes held.
-    fn held(&self) -> impl Iterator<Item = bool> {
-        let needed = |views: u32| self.views.saturating_sub(views);
-        self.to_go
-            .iter()
-            .map(move |(views, [few, many])| *few <= needed(*views) && needed(*views) <= *many)
-    }
-}
-
 impl OperatedArgs {
     /// Runs the sessions and prints how each went, then their medians.
     ///
@@ -410,7 +371,7 @@ impl OperatedArgs {
             if json {
                 output::print_json(&outcome)?;
             } else {
-                output::print_line(&line(&outcome))?;
+                output::print_line(&outcome.line())?;
             }
             outcomes.push(outcome);
         }
@@ -421,51 +382,6 @@ impl OperatedArgs {
 fn figures(estimate: &RunningEstimate) -> ([f64; 2], u32) {
     let uncertainty = &estimate.uncertainty_px;
     ([uncertainty.median, uncertainty.worst], estimate.views)
-}
-
-fn line(outcome: &OperatedOutcome) -> String {
-    let OperatedOutcome { seed, setting, views, seconds, predicted_px, error_px, .. } = outcome;
-    let [median, worst] = predicted_px;
-    let [error, greatest] = error_px;
-    let end = if outcome.reached { "" } else { "  not reached" };
-    format!(
-        "seed {seed:>4}  {setting:<10} {views:>4} views {seconds:>6.1} s  predicted {median:.3} px, at worst {worst:.3}  true {error:.3}, at worst {greatest:.3}{end}"
-    )
-}
-
-/// The medians of all, and how the true errors compare with their predictions.
-pub fn summary(outcomes: &[OperatedOutcome]) -> String {
-    let median = |value: fn(&OperatedOutcome) -> f64| {
-        let mut values: Vec<f64> = outcomes.iter().map(value).collect();
-        values.sort_unstable_by(f64::total_cmp);
-        values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
-    };
-    let mean = |value: fn(&OperatedOutcome) -> f64| {
-        outcomes.iter().map(value).sum::<f64>() / outcomes.len().max(1) as f64
-    };
-    let within = |limit: f64| {
-        let count = outcomes.iter().filter(|outcome| outcome.focal_ratio.abs() <= limit).count();
-        100.0 * count as f64 / outcomes.len().max(1) as f64
-    };
-    let said = outcomes.iter().filter(|outcome| outcome.reached).flat_map(OperatedOutcome::held);
-    let said: Vec<bool> = said.collect();
-    let held = said.iter().filter(|held| **held).count();
-    let said = if said.is_empty() {
-        String::new()
-    } else {
-        format!("; of {} numbers of views still needed {held} held", said.len())
-    };
-    format!(
-        "{} sessions, {} reached: median {} views, {:.1} s; errors of projections within 1 and 2 sigma: {:.0} % and {:.0} %; of fx: {:.0} % and {:.0} %{said}",
-        outcomes.len(),
-        outcomes.iter().filter(|outcome| outcome.reached).count(),
-        median(|outcome| f64::from(outcome.views)),
-        median(|outcome| outcome.seconds),
-        100.0 * mean(|outcome| outcome.within[0]),
-        100.0 * mean(|outcome| outcome.within[1]),
-        within(1.0),
-        within(2.0)
-    )
 }
 
 #[cfg(test)]
