@@ -76,6 +76,26 @@ impl Variances {
         Self(self.0.iter().filter(|(other, _)| *other != effect).copied().collect())
     }
 
+    /// The same with a stretch of the board as large as what else is uneven of it at least: views
+    /// that leave it open show none, and would have it for certain that there is none.
+    pub(super) fn with_stretch_as_others(mut self, basis: &BoardBasis) -> Self {
+        // Mean squares over the points, in units of the noise: functions over all points have a
+        // mean square of 1, and a point's own offset is of one point.
+        let mean_square = |(effect, lambda): &(Effect, f64)| match effect {
+            Effect::Height(_) => effect.range(basis).len() as f64 / lambda,
+            Effect::Own => 2.0 / lambda,
+            Effect::Stretch | Effect::Rotation | Effect::Translation => 0.0,
+        };
+        let others: f64 = self.0.iter().map(mean_square).sum();
+        if others > 0.0 {
+            let most = Effect::Stretch.range(basis).len() as f64 / others;
+            for (_, lambda) in self.0.iter_mut().filter(|(effect, _)| *effect == Effect::Stretch) {
+                *lambda = lambda.min(most);
+            }
+        }
+        self
+    }
+
     /// The penalty of a state: what its effects cost under these variances.
     pub(super) fn penalty(&self, state: &EffectsState, basis: &BoardBasis, good: &[usize]) -> f64 {
         let squares = |(effect, lambda): &(Effect, f64)| {

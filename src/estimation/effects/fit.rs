@@ -324,7 +324,7 @@ impl EffectSearch {
             let changed = changes
                 .map(|((a, b), known)| (a.1 / b.1).ln().abs() * known.sqrt().min(1.0))
                 .fold(0.0, f64::max);
-            self.variances = next;
+            self.variances = next.with_stretch_as_others(scene.basis);
             if changed < 0.1 && decrease < 0.03 * posterior.noise_square {
                 break;
             }
@@ -421,6 +421,12 @@ impl EffectSearch {
             let whole = with - self.log_evidence(scene, &self.variances.held(&effects))?;
             let missed = |gain: &f64| whole >= LEAST_GROUP_GAIN && *gain >= LEAST_GAIN;
             idle.extend(group.iter().filter(|(_, gain)| !missed(gain)).map(|(effect, _)| *effect));
+            // That views do not show a stretch is no proof that there is none: upright, a board's
+            // aspect is that of the pixels.
+            let is_kept = |effect: &Effect| *effect != Effect::Stretch && !idle.contains(effect);
+            if effects.iter().any(is_kept) {
+                idle.retain(|effect| *effect != Effect::Stretch);
+            }
         }
         Some((idle, posterior))
     }
