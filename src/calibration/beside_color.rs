@@ -4,7 +4,8 @@
 
 use crate::calibration::observations::CameraFrameSets;
 use crate::calibration::result::{CalibratedSensor, Calibration, Grade};
-use crate::calibration::solve_rig::{RigError, RigInput, SolvedRig, solve_rig};
+use crate::calibration::rig_input::RigInput;
+use crate::calibration::solve_rig::{RigError, SolvedRig, solve_rig};
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::problem::LensChoice;
 use crate::geometry::target::Target;

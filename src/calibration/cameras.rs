@@ -11,12 +11,13 @@ use crate::calibration::result::{
 };
 use crate::calibration::rgbd_calibration::{color_from_depth, judged_with_depth};
 use crate::calibration::rgbd_input::RgbdInput;
+use crate::calibration::rig_input::{RigInput, RigSensorInput};
 use crate::calibration::sensor::SensorId;
 use crate::calibration::solve_options::{
     InstrumentError, SolveOptions, UnsolvedDepth, without_depth,
 };
 use crate::calibration::solve_rgbd::{SolvedRgbd, solve_rgbd};
-use crate::calibration::solve_rig::{RigInput, RigSensorInput, solve_rig};
+use crate::calibration::solve_rig::solve_rig;
 use crate::estimation::rgbd::{PlacedDevice, RgbdEstimate, recalibrate_depth};
 use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;

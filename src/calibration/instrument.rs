@@ -11,7 +11,7 @@ use crate::calibration::solve_options::{
     InstrumentError, SolveMethod, SolveOptions, UnsolvedDepth, without_depth,
 };
 use crate::calibration::solve_rgbd::solve_rgbd;
-use crate::calibration::solve_rig::holding;
+use crate::estimation::camera::CameraOptions;
 use crate::estimation::error::EstimationError;
 use crate::geometry::target::Target;
 use crate::imaging::frame::SensorKind;
@@ -66,7 +66,7 @@ fn color_alone(
     camera: &CameraFrameSets,
     options: &SolveOptions,
 ) -> Result<Calibration, EstimationError> {
-    let held = camera.given.map(|lens| holding(&lens, &options.camera.interrupt));
+    let held = camera.given.map(|lens| CameraOptions::holding(&lens, &options.camera.interrupt));
     let problem = camera.problem(SensorKind::Color);
     let solved = match options.method {
         SolveMethod::LinearTransform => solve_dlt(&problem, &options.camera.interrupt),

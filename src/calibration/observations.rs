@@ -2,8 +2,8 @@
 //! the instrument is a camera, a depth camera, or a rig of either.
 
 use crate::calibration::rgbd_input::{DepthSensor, RgbdCapture, RgbdInput};
+use crate::calibration::rig_input::RigSensorInput;
 use crate::calibration::sensor::SensorId;
-use crate::calibration::solve_rig::RigSensorInput;
 use crate::estimation::problem::{BoardView, CameraProblem, Correspondence};
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;

@@ -7,7 +7,7 @@ use crate::calibration::factory_check::FactoryCheck;
 use crate::calibration::result::{
     CalibratedSensor, Calibration, Extrinsics, Grade, ImageCalibration, Verdict, pose_std,
 };
-use crate::calibration::rgbd_input::{RgbdCapture, RgbdInput};
+use crate::calibration::rgbd_input::RgbdInput;
 use crate::calibration::sensor::SensorId;
 use crate::calibration::solve::{SolvedCamera, uncertainty_over};
 use crate::calibration::solve_rgbd::SolvedRgbd;
@@ -36,7 +36,7 @@ pub fn with_depth(
     let extrinsics = |source: SensorKind, estimate: &RgbdEstimate| {
         color_from_depth(own(source), own(SensorKind::Color), estimate)
     };
-    let seen = JointViews { input, solved };
+    let seen = JointViews { solved };
     if let Some(color) = calibration.image_mut(SensorKind::Color) {
         set_lens(color, joint.color, &joint.color_covariance);
         seen.place(color, &solved.color, SensorKind::Color);
@@ -47,6 +47,8 @@ pub fn with_depth(
     if let Some(mut infrared) = solved.infrared.clone() {
         set_lens(&mut infrared.sensor, joint.depth.lens, &joint.depth_covariance);
         let alone = infrared.clone();
+        infrared.sensor.board_shape = solved.color.sensor.board_shape.clone();
+        infrared.sensor.board_warp_m = solved.color.sensor.board_warp_m;
         seen.place(&mut infrared.sensor, &alone, SensorKind::Infrared);
         let id = SensorId::own(SensorKind::Infrared);
         calibration.add_sensor(CalibratedSensor::image(id, infrared.sensor));
@@ -67,8 +69,12 @@ pub(super) fn judged_with_depth(
 ) -> Verdict {
     let joint = &solved.joint;
     let views_with_depth = input.captures.iter().filter(|capture| capture.depth.is_some()).count();
-    let lowering =
-        [without_color(input), without_depth_image(input), scale_doubt(joint, &input.board)];
+    let lowering = [
+        without_color(input),
+        without_depth_image(input),
+        scale_doubt(joint, &input.board),
+        bent_for_depth(solved),
+    ];
     for reason in lowering.into_iter().flatten() {
         verdict.lower(Grade::Usable, reason);
     }
@@ -128,6 +134,21 @@ fn not_together(joint: &RgbdEstimate) -> String {
     format!(
         "color and depth of {separate} of {all} views were taken at different times, and are not used for the sensors' pose: hold the board still, or let the device take both together"
     )
+}
+
+/// A board that is uneven by more than this, in meters (rms), is no plane to compare depth with: as
+/// much as is left of a depth camera's error within two meters.
+const UNEVEN_FOR_DEPTH_M: f64 = 0.001;
+
+/// That depth is compared with the plane of a board which is none.
+fn bent_for_depth(solved: &SolvedRgbd) -> Option<String> {
+    let unevenness_m = solved.color.sensor.board_shape.as_ref()?.unevenness_m;
+    (unevenness_m > UNEVEN_FOR_DEPTH_M).then(|| {
+        format!(
+            "the board is bent or uneven by {:.1} mm (rms), and depth is compared with its plane: use one that is flat and stiff",
+            1e3 * unevenness_m
+        )
+    })
 }
 
 /// Views whose depth image is missing.
@@ -190,7 +211,6 @@ fn scale_doubt(joint: &RgbdEstimate, board: &Target) -> Option<String> {
 /// Where the joint solve has the board, for one document that holds together: its lenses project
 /// its corners, at its poses, as far off as it says.
 struct JointViews<'a> {
-    input: &'a RgbdInput,
     solved: &'a SolvedRgbd,
 }
 
@@ -200,11 +220,12 @@ impl JointViews<'_> {
     fn place(&self, sensor: &mut ImageCalibration, alone: &SolvedCamera, kind: SensorKind) {
         let (mut squares, mut count) = (0.0, 0.0);
         for (view, estimate) in sensor.views.iter_mut().zip(&alone.estimate.views) {
-            let capture = self.input.captures.iter().find(|capture| capture.name == view.name);
-            let Some(capture) = capture else { continue };
-            let corners =
-                if kind == SensorKind::Color { &capture.color } else { &capture.infrared };
-            let Some(pose) = self.pose(capture, (&sensor.lens, corners), kind) else { continue };
+            let SolvedRgbd { problem, .. } = self.solved;
+            let place = problem.views.iter().position(|joint| joint.name == view.name);
+            let Some(place) = place else { continue };
+            let joint = &problem.views[place];
+            let corners = if kind == SensorKind::Color { &joint.color } else { &joint.infrared };
+            let Some(pose) = self.pose(place, (&sensor.lens, corners), kind) else { continue };
             let (mut of_view, mut seen) = (0.0, 0.0);
             for (corner, used) in corners.iter().zip(&estimate.used) {
                 let pixel = sensor.lens.pixel_from_point(&(pose * corner.point_in_board));
@@ -214,7 +235,7 @@ impl JointViews<'_> {
                 }
             }
             view.camera_from_board = Some(pose);
-            view.rms_px = (seen > 0.0).then(|| f64::sqrt(of_view / seen));
+            view.rms_px = (seen > 0.0).then(|| f64::sqrt(of_view / seen)).or(view.rms_px);
             if view.used {
                 (squares, count) = (squares + of_view, count + seen);
             }
@@ -224,17 +245,15 @@ impl JointViews<'_> {
         }
     }
 
-    /// Where the board is in the frame of a sensor. Infrared that was taken at another moment saw
-    /// the board elsewhere: where its own corners say.
+    /// Where the board of view `place` is in the frame of a sensor. Infrared that was taken at
+    /// another moment saw the board elsewhere: where its own corners say.
     fn pose(
         &self,
-        capture: &RgbdCapture,
+        place: usize,
         (lens, corners): (&Lens, &[Correspondence]),
         kind: SensorKind,
     ) -> Option<Pose> {
-        let SolvedRgbd { joint, captures, .. } = self.solved;
-        let place =
-            captures.iter().position(|index| self.input.captures[*index].name == capture.name)?;
+        let joint = &self.solved.joint;
         let color_from_board = joint.color_from_board[place];
         if kind == SensorKind::Color {
             return Some(color_from_board);
@@ -243,7 +262,8 @@ impl JointViews<'_> {
         if joint.time_offset.is_none() && !joint.not_together.contains(&place) {
             return Some(expected);
         }
-        let view = BoardView { name: capture.name.clone(), correspondences: corners.to_vec() };
+        let name = self.solved.problem.views[place].name.clone();
+        let view = BoardView { name, correspondences: corners.to_vec() };
         let poses = board_poses(lens, &view).ok()?;
         let rotation = |depth_from_board: &Pose| depth_from_board.angle_to(&expected);
         poses

@@ -4,7 +4,7 @@
 use std::cmp::Reverse;
 use std::mem::discriminant;
 
-use nalgebra::Point3;
+use nalgebra::{DMatrix, Point3};
 
 use crate::calibration::rgbd_error::RgbdError;
 use crate::calibration::rgbd_input::{RgbdCapture, RgbdInput, poses, views};
@@ -12,8 +12,7 @@ use crate::calibration::solve::SolvedCamera;
 use crate::detection::board_plane::{NoPlane, PlaneOptions, find_board_plane};
 use crate::detection::plane_growth::grow_plane;
 use crate::estimation::board_pose::board_poses;
-use crate::estimation::interrupt::Interrupt;
-use crate::estimation::problem::{BoardView, Correspondence};
+use crate::estimation::problem::{BoardView, CameraOptions, Correspondence};
 use crate::estimation::rgbd::motion::{
     BoardMotion, SeenByBoth, TimeOffset, board_motions, time_offset,
 };
@@ -49,6 +48,8 @@ impl Measured {
 /// What the joint solve starts from.
 pub(super) struct Guess {
     color: Lens,
+    color_options: CameraOptions,
+    color_covariance: Option<DMatrix<f64>>,
     color_noise: f64,
     pub(super) lens: Lens,
     infrared_noise: f64,
@@ -67,7 +68,7 @@ impl Guess {
     pub(super) fn of(
         input: &RgbdInput,
         size: ImageSize,
-        color: &SolvedCamera,
+        (color, color_options): (&SolvedCamera, &CameraOptions),
         infrared: Option<&SolvedCamera>,
     ) -> Self {
         let color_poses = poses(input, color, |c| &c.color);
@@ -95,6 +96,12 @@ impl Guess {
             .collect();
         let mut guess = Self {
             color: color.estimate.lens,
+            color_options: color_options.clone(),
+            color_covariance: color
+                .estimate
+                .board_shape
+                .is_some()
+                .then(|| color.estimate.lens_covariance.clone()),
             color_noise: noise(input, color, |c| &c.color),
             lens,
             infrared_noise: infrared.map_or(1.0, |solved| noise(input, solved, |c| &c.infrared)),
@@ -237,6 +244,8 @@ impl Guess {
     fn problem(&self, views: Vec<RgbdView>) -> RgbdProblem {
         RgbdProblem {
             color: self.color,
+            color_options: self.color_options.clone(),
+            color_covariance: self.color_covariance.clone(),
             color_noise: self.color_noise,
             depth: DepthCamera {
                 image_size: self.size,
@@ -255,7 +264,7 @@ impl Guess {
                 }
             },
             views,
-            interrupt: Interrupt::default(),
+            interrupt: self.color_options.interrupt.clone(),
         }
     }
 }

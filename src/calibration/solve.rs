@@ -64,7 +64,10 @@ pub fn solve_views(
         coverage: coverage.fraction(),
     };
     let uncertainty = uncertainty_map(&estimate, UNCERTAINTY_COLUMNS, Distance::Infinity);
-    let sensor = with_uncertainty(&estimate, uncertainty.as_ref());
+    let mut sensor = with_uncertainty(&estimate, uncertainty.as_ref());
+    if let Some(given) = &options.measured_board {
+        (sensor.board_warp_m, sensor.board_shape) = (Some(given.bow_m), Some(given.clone()));
+    }
     let mut verdict = verdict::judge(&estimate, uncertainty.as_ref(), &model_check, &coverage);
     if let Some(doubt) = verdict::square_pixels(&estimate, options) {
         verdict.lower(Grade::Usable, doubt);

@@ -11,7 +11,8 @@ use crate::detection::board_plane::NoPlane;
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::consistent_labels::{SensorPoses, consistent_labels};
 use crate::estimation::error::EstimationError;
-use crate::estimation::problem::BoardView;
+use crate::estimation::measured_board::MeasuredBoard;
+use crate::estimation::problem::{BoardView, Correspondence, Shutter};
 use crate::estimation::rgbd::{RgbdEstimate, RgbdProblem, RgbdView, calibrate_rgbd};
 use crate::geometry::pose::Pose;
 use crate::imaging::depth_image::DepthImage;
@@ -31,6 +32,9 @@ pub struct SolvedRgbd {
     pub factory: Option<FactoryCheck>,
     /// Which capture each view of the joint estimate is.
     pub captures: Vec<usize>,
+    /// The corners in infrared of each view of the joint estimate, labeled as in color, where the
+    /// board is stated to have them.
+    pub stated_infrared: Vec<Vec<Correspondence>>,
     /// Captures whose depth could not be used, and why.
     pub without_depth: Vec<(String, NoPlane)>,
 }
@@ -45,7 +49,7 @@ impl SolvedRgbd {
         );
         let as_in_color = |(index, (view, capture)): (usize, (&RgbdView, &usize))| {
             let board_from_moved_on = joint.board_from_moved_on(view, index);
-            let mut correspondences = view.infrared.clone();
+            let mut correspondences = self.stated_infrared[index].clone();
             correspondences.iter_mut().for_each(|corner| {
                 corner.point_in_board = board_from_moved_on * corner.point_in_board;
             });
@@ -59,14 +63,15 @@ impl SolvedRgbd {
 /// far.
 const MARGIN_SQUARES: f64 = 0.8;
 
-/// Calibrates color, infrared where it is seen, and depth jointly.
+/// Calibrates color, infrared where it is seen, and depth jointly. The board's shape is measured by
+/// color, whose corners know it best, and the other sensors see the board as that has it.
 ///
 /// # Errors
 /// [`RgbdError`]: a sensor that cannot be calibrated by itself, or too few views with depth.
 pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRgbd, RgbdError> {
     let of_sensor = |sensor| move |source| RgbdError::Sensor { sensor, source };
-    // The joint problem takes the board as stated, and weights by what each sensor leaves of it.
-    let options = &options.clone().as_stated();
+    // The joint problem takes all rows as read at once, and weights by what each sensor leaves.
+    let options = &CameraOptions { shutter: Shutter::Global, ..options.clone() };
     let color = solve_views(&problem(input, input.color_size, |c| &c.color), options)
         .map_err(of_sensor("color"))?;
     let depth_size = input.captures.iter().find_map(|c| c.depth.as_ref()).map(DepthImage::size);
@@ -75,35 +80,38 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
         all: input.captures.len(),
         reasons: String::new(),
     })?;
-    let infrared_seen = views(input).filter(|capture| !capture.infrared.is_empty()).count();
-    let infrared = (input.depth.with_infrared && infrared_seen >= 3)
-        .then(|| {
-            solve_views(&problem(input, depth_size, |c| &c.infrared), options)
-                .map_err(of_sensor("infrared"))
-        })
-        .transpose()?;
-    let corrected =
-        infrared.as_ref().and_then(|infrared| labeled_as_in_color(input, &color, infrared));
-    let (input, infrared) = match &corrected {
-        Some(corrected) => {
-            let again = solve_views(&problem(corrected, depth_size, |c| &c.infrared), options);
-            (corrected, Some(again.map_err(of_sensor("infrared"))?))
-        }
-        None => (input, infrared),
+    let infrared_alone = |input: &RgbdInput| {
+        // What is given is color's, and what is measured of the board is in the corners already.
+        let options = CameraOptions { given: Vec::new(), measured_board: None, ..options.clone() };
+        solve_views(&problem(input, depth_size, |c| &c.infrared), &options.as_stated())
+            .map_err(of_sensor("infrared"))
     };
-    let mut guess = Guess::of(input, depth_size, &color, infrared.as_ref());
+    let measured_board = color.sensor.board_shape.as_ref();
+    let infrared_seen = views(input).filter(|capture| !capture.infrared.is_empty()).count();
+    let labeled = if !input.depth.with_infrared || infrared_seen < 3 {
+        None
+    } else if input.board.symmetries().len() > 1 {
+        Some(labeled_as_in_color(input, &color, &infrared_alone(input)?))
+    } else {
+        Some(input.clone())
+    };
+    let with_infrared = labeled.is_some();
+    let labeled = labeled.unwrap_or_else(|| input.clone());
+    let placed = measured_board.map(|board| placed_on(&labeled, board));
+    let input = placed.as_ref().unwrap_or(&labeled);
+    let infrared = with_infrared.then(|| infrared_alone(input)).transpose()?;
+    let mut guess = Guess::of(input, depth_size, (&color, options), infrared.as_ref());
     let rounds = if infrared.is_some() { 1 } else { 3 };
     let mut solved: Option<(RgbdEstimate, Measured)> = None;
     for round in 0..rounds {
         let margin = if rounds == 1 || round > 0 { MARGIN_SQUARES } else { 0.0 };
         options.interrupt.check().map_err(RgbdError::Joint)?;
-        let mut measured = match (guess.measured(input, margin), &solved) {
+        let measured = match (guess.measured(input, margin), &solved) {
             (Err(RgbdError::TooLittleDepth { .. }), Some((_, before))) => {
                 return Err(before.lens_elsewhere());
             }
             (measured, _) => measured?,
         };
-        measured.problem.interrupt = options.interrupt.clone();
         let joint = calibrate_rgbd(&measured.problem).map_err(|error| match error {
             EstimationError::NoFit => RgbdError::NotOneDevice,
             other => RgbdError::Joint(other),
@@ -117,20 +125,40 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
     let Measured { problem, captures, without_depth } = measured;
     let factory =
         input.depth.factory.and_then(|factory| FactoryCheck::of(&problem, &joint, factory));
-    Ok(SolvedRgbd { color, infrared, problem, joint, factory, captures, without_depth })
+    let stated_infrared =
+        captures.iter().map(|capture| labeled.captures[*capture].infrared.clone());
+    let stated_infrared = stated_infrared.collect();
+    Ok(SolvedRgbd {
+        color,
+        infrared,
+        problem,
+        joint,
+        factory,
+        captures,
+        stated_infrared,
+        without_depth,
+    })
+}
+
+/// The same with each corner where `board` was measured to have it.
+fn placed_on(input: &RgbdInput, board: &MeasuredBoard) -> RgbdInput {
+    let mut placed = input.clone();
+    for capture in &mut placed.captures {
+        for corner in capture.color.iter_mut().chain(&mut capture.infrared) {
+            *corner = corner.placed_on(board);
+        }
+    }
+    placed
 }
 
 /// The same with infrared's corners labeled as color's are, for a board that is symmetric under a
-/// rotation; `None` where it is not.
+/// rotation.
 fn labeled_as_in_color(
     input: &RgbdInput,
     color: &SolvedCamera,
     infrared: &SolvedCamera,
-) -> Option<RgbdInput> {
+) -> RgbdInput {
     let symmetries = input.board.symmetries();
-    if symmetries.len() == 1 {
-        return None;
-    }
     let seen = |poses: Vec<Option<Pose>>| -> SensorPoses {
         poses.into_iter().enumerate().filter_map(|(index, pose)| Some((index, pose?))).collect()
     };
@@ -152,5 +180,5 @@ fn labeled_as_in_color(
             .iter_mut()
             .for_each(|corner| corner.point_in_board = board_from_labels * corner.point_in_board);
     }
-    Some(labeled)
+    labeled
 }

@@ -1,48 +1,20 @@
 //! The solve of several cameras that are fixed to each other: each by itself, then all that share
 //! views jointly.
 
-use nalgebra::{Matrix3, Matrix6, Vector3};
-
 use crate::calibration::list_shift::list_shift;
 use crate::calibration::result::{
-    CalibratedSensor, Calibration, Checks, Extrinsics, Grade, ImageCalibration, Verdict, pose_std,
+    CalibratedSensor, Calibration, Checks, Extrinsics, Grade, ImageCalibration, Verdict,
 };
+use crate::calibration::rig_input::{RigInput, RigSensorInput};
+use crate::calibration::rig_joint::Joint;
+use crate::calibration::rig_member::Alone;
 use crate::calibration::sensor::SensorId;
-use crate::calibration::solve::{SolvedCamera, sensor_calibration, solve_views};
+use crate::calibration::solve::solve_views;
 use crate::estimation::camera::CameraOptions;
-use crate::estimation::consistent_labels::{SensorPoses, consistent_labels};
 use crate::estimation::error::EstimationError;
-use crate::estimation::interrupt::Interrupt;
-use crate::estimation::problem::{BoardView, CameraProblem, LensChoice};
-use crate::estimation::rig::{RigProblem, RigSensor, SensorPlace, calibrate_rig};
+use crate::estimation::problem::CameraProblem;
 use crate::geometry::lens::Lens;
-use crate::geometry::pixel::ImageSize;
-use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
-
-/// Image sensors that are fixed to each other, to be calibrated together.
-#[derive(Debug, Clone, PartialEq)]
-pub struct RigInput {
-    /// The board.
-    pub board: Target,
-    /// The sensors, camera by camera.
-    pub sensors: Vec<RigSensorInput>,
-}
-
-/// One image sensor of a rig and what it saw.
-#[derive(Debug, Clone, PartialEq)]
-pub struct RigSensorInput {
-    /// Which.
-    pub id: SensorId,
-    /// What it is called in messages.
-    pub name: String,
-    /// The size of its images.
-    pub image_size: ImageSize,
-    /// Its lens, where that is known and held.
-    pub given: Option<Lens>,
-    /// What it saw, and in which frame set: those of the same number were seen together.
-    pub views: Vec<(usize, BoardView)>,
-}
 
 /// A solved rig.
 #[derive(Debug, Clone, PartialEq)]
@@ -110,12 +82,6 @@ pub enum RigError {
     Joint(EstimationError),
 }
 
-/// A sensor that was calibrated by itself.
-struct Alone<'a> {
-    input: &'a RigSensorInput,
-    solved: SolvedCamera,
-}
-
 /// Calibrates each sensor by itself, then those that share views jointly, lenses and poses.
 ///
 /// # Errors
@@ -125,7 +91,7 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
     let (mut alone, mut failed) = (Vec::new(), Vec::new());
     for sensor in &input.sensors {
         let views = sensor.views.iter().map(|(_, view)| view.clone()).collect();
-        let held = |lens: Lens| holding(&lens, &options.interrupt);
+        let held = |lens: Lens| CameraOptions::holding(&lens, &options.interrupt);
         let options = sensor.given.map_or_else(|| options.clone(), held);
         match solve_views(&CameraProblem { image_size: sensor.image_size, views }, &options) {
             Ok(solved) => alone.push(Alone { input: sensor, solved }),
@@ -157,7 +123,7 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
             continue;
         }
         let members: Vec<&Alone<'_>> = group.iter().map(|index| &alone[*index]).collect();
-        let joint = Joint::solve(input, &members, &options.interrupt)?;
+        let joint = Joint::solve(input, &members, options).map_err(RigError::Joint)?;
         findings.extend(joint.findings(&members));
         for (index, sensor) in group.iter().zip(joint.sensors) {
             sensors[*index] = sensor;
@@ -201,18 +167,6 @@ fn open_place(isolated: &Alone<'_>) -> String {
     format!("where camera `{name}` is stays open: it {reason}")
 }
 
-/// Options that hold every parameter of `lens`; `interrupt` ends the estimate.
-pub(super) fn holding(lens: &Lens, interrupt: &Interrupt) -> CameraOptions {
-    let names = Lens::parameter_names(lens.model()).into_iter().map(str::to_owned);
-    let given = names.zip(lens.parameters()).collect();
-    CameraOptions {
-        lens: LensChoice::Model(lens.model()),
-        given,
-        interrupt: interrupt.clone(),
-        ..CameraOptions::default()
-    }
-}
-
 /// A camera whose frames agree with the first one's when they are taken to be of frame sets a few
 /// places earlier or later, and not as they are.
 fn shifted_list(alone: &[Alone<'_>]) -> Option<RigError> {
@@ -248,185 +202,6 @@ fn connected(alone: &[Alone<'_>]) -> Vec<Vec<usize>> {
         groups.sort();
     }
     groups
-}
-
-impl Alone<'_> {
-    /// Whether it is of another camera, or another sensor of the only one.
-    fn is_other_than(&self, other: &Self) -> bool {
-        match (&self.input.id.camera, &other.input.id.camera) {
-            (None, None) => self.input.id.kind != other.input.id.kind,
-            (one, other) => one != other,
-        }
-    }
-
-    /// The pose of every view in use, with its frame set.
-    fn poses(&self) -> SensorPoses {
-        let views = self.input.views.iter().zip(&self.solved.estimate.views);
-        let pose = |((frame_set, _), view): (
-            &(usize, BoardView),
-            &crate::estimation::camera::ViewEstimate,
-        )| {
-            Some((*frame_set, view.camera_from_board.filter(|_| view.fault.is_none())?))
-        };
-        views.filter_map(pose).collect()
-    }
-
-    /// What it saw, with the points of each view where `symmetries` say that they are.
-    fn with_labels_corrected(
-        &self,
-        board_from_labels: &[Pose],
-        chosen: &[usize],
-    ) -> Vec<(usize, BoardView)> {
-        let good = self
-            .solved
-            .estimate
-            .views
-            .iter()
-            .map(|view| view.fault.is_none() && view.camera_from_board.is_some());
-        let mut chosen = chosen.iter();
-        let views = self.input.views.iter().zip(good);
-        let with_labels_corrected = |((frame_set, view), good): (&(usize, BoardView), bool)| {
-            let symmetry = if good { chosen.next().copied().unwrap_or(0) } else { 0 };
-            let mut view = view.clone();
-            for corner in &mut view.correspondences {
-                corner.point_in_board = board_from_labels[symmetry] * corner.point_in_board;
-            }
-            (*frame_set, view)
-        };
-        views.map(with_labels_corrected).collect()
-    }
-}
-
-/// Cameras that were solved together.
-struct Joint {
-    sensors: Vec<ImageCalibration>,
-    extrinsics: Vec<Extrinsics>,
-    /// For each sensor: its noise together with the others over that by itself.
-    rms_ratio: Vec<f64>,
-}
-
-impl Joint {
-    fn solve(
-        input: &RigInput,
-        group: &[&Alone<'_>],
-        interrupt: &Interrupt,
-    ) -> Result<Self, RigError> {
-        let symmetries = input.board.symmetries();
-        let board_from_labels: Vec<Pose> = symmetries.iter().map(Pose::inverse).collect();
-        let chosen = consistent_labels(
-            &group.iter().map(|one| one.poses()).collect::<Vec<_>>(),
-            &symmetries,
-        );
-        let sensor = |(one, chosen): (&&Alone<'_>, &Vec<usize>)| RigSensor {
-            name: one.input.name.clone(),
-            image_size: one.input.image_size,
-            views: one.with_labels_corrected(&board_from_labels, chosen),
-            options: match &one.input.given {
-                Some(lens) => holding(lens, interrupt),
-                None => CameraOptions {
-                    lens: LensChoice::Model(one.solved.sensor.lens.model()),
-                    interrupt: interrupt.clone(),
-                    ..CameraOptions::default()
-                },
-            },
-        };
-        let sensors: Vec<RigSensor> = group.iter().zip(&chosen).map(sensor).collect();
-        let end = sensors
-            .iter()
-            .flat_map(|sensor| &sensor.views)
-            .map(|(frame_set, _)| frame_set + 1)
-            .max();
-        let problem = RigProblem { sensors, frame_sets: end.unwrap_or(0) };
-        let estimate = calibrate_rig(&problem).map_err(RigError::Joint)?;
-        let reference = &group[0].input.id;
-        let placed = group.iter().zip(&estimate.places).skip(1);
-        let with_comparison = |(one, camera): (&&Alone<'_>, _)| ImageCalibration {
-            compared: one.solved.sensor.compared.clone(),
-            ..sensor_calibration(camera)
-        };
-        let rms_ratio = group
-            .iter()
-            .zip(&estimate.cameras)
-            .map(|(one, camera)| camera.rms_px / one.solved.estimate.rms_px.max(1e-3));
-        Ok(Self {
-            sensors: group.iter().zip(&estimate.cameras).map(with_comparison).collect(),
-            extrinsics: placed
-                .map(|(one, place)| reference_from(reference, &one.input.id, place))
-                .collect(),
-            rms_ratio: rms_ratio.collect(),
-        })
-    }
-
-    fn findings(&self, group: &[&Alone<'_>]) -> Vec<(Grade, String)> {
-        let name = |member: usize| group[member].input.name.as_str();
-        let each = self.rms_ratio.iter().enumerate();
-        let misfitting = each.filter(|(_, rms_ratio)| **rms_ratio > MISFITTING);
-        let misfitting = misfitting.map(|(member, rms_ratio)| {
-            let cause =
-                "the board moved between the cameras' images, or the cameras against each other: hold it still";
-            let camera = name(member);
-            (
-                Grade::Usable,
-                format!("camera `{camera}` fits {rms_ratio:.1} times worse with the others than by itself; {cause}"),
-            )
-        });
-        let open = self.extrinsics.iter().enumerate().filter_map(|(place, known)| {
-            let (rotation_deg, translation_m) =
-                (largest(known.rotation_std).to_degrees(), largest(known.translation_std_m));
-            let loose = rotation_deg > LOOSE_DEG
-                || translation_m
-                    > LOOSE_PART * known.target_from_source.translation().norm().max(0.1);
-            let advice = "show the board to both in more places, near and tilted";
-            loose.then(|| {
-                let reason = format!(
-                    "{}_from_{} is known to {rotation_deg:.2}° and {:.1} mm only: {advice}",
-                    name(0),
-                    name(place + 1),
-                    1e3 * translation_m
-                );
-                (Grade::Usable, reason)
-            })
-        });
-        misfitting.chain(open).collect()
-    }
-}
-
-/// A camera whose residuals grow by more than this when it is solved with the others was not where
-/// they say.
-const MISFITTING: f64 = 1.5;
-/// Standard deviations above which a relative pose is reported as loose: of the rotation in degrees,
-/// of the translation as a part of its length.
-const LOOSE_DEG: f64 = 0.1;
-const LOOSE_PART: f64 = 0.01;
-
-fn largest(values: [f64; 3]) -> f64 {
-    values.into_iter().fold(0.0, f64::max)
-}
-
-/// The pose the other way round, with its covariance carried along: with R, t of `sensor_from_rig`,
-/// a rotation ω and a translation τ of it are −Rᵀω and −Rᵀτ − Rᵀ\[t\]ω of its inverse.
-fn reference_from(reference: &SensorId, sensor: &SensorId, place: &SensorPlace) -> Extrinsics {
-    let rig_from_sensor = place.sensor_from_rig.inverse();
-    let back = rig_from_sensor.rotation_matrix();
-    let mut by_place = Matrix6::zeros();
-    by_place.fixed_view_mut::<3, 3>(0, 0).copy_from(&-back);
-    by_place.fixed_view_mut::<3, 3>(3, 3).copy_from(&-back);
-    by_place
-        .fixed_view_mut::<3, 3>(3, 0)
-        .copy_from(&(-back * cross(&place.sensor_from_rig.translation())));
-    let (rotation_std, translation_std) =
-        pose_std(&(by_place * place.covariance * by_place.transpose()));
-    Extrinsics {
-        target: reference.clone(),
-        source: sensor.clone(),
-        target_from_source: rig_from_sensor,
-        rotation_std: rotation_std.into(),
-        translation_std_m: translation_std.into(),
-    }
-}
-
-fn cross(v: &Vector3<f64>) -> Matrix3<f64> {
-    v.cross_matrix()
 }
 
 fn checks(alone: &[Alone<'_>]) -> Checks {

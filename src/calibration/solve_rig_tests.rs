@@ -1,14 +1,17 @@
 //! Rigs against seeded truth: cameras placed through others, boards labeled from either end,
 //! cameras that share nothing.
 
+use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use crate::estimation::problem::Correspondence;
+use crate::estimation::problem::{BoardView, Correspondence, LensChoice};
 use crate::geometry::board::{BoardSize, Chessboard};
 use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::lens::{Lens, LensModel};
+use crate::geometry::pixel::ImageSize;
+use crate::geometry::pose::Pose;
 use crate::imaging::frame::SensorKind;
 
 const SIZE: ImageSize = ImageSize::new(640, 480);

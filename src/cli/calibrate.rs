@@ -68,7 +68,6 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         && calibrate_rgbd::has_depth(source, &args.search.reading)
     {
         args.choose.refuse("color with depth")?;
-        args.estimated.check_no_measured_board()?;
         let detect = args.search.detect_options();
         let (calibration, elapsed_ms) =
             calibrate_rgbd::calibrate((source, &args.search.reading), target, &options, detect)?;

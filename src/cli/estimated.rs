@@ -82,20 +82,6 @@ impl EstimatedArgs {
         Ok(())
     }
 
-    /// Refuses a measured board where it would not be used.
-    ///
-    /// # Errors
-    /// When one is given.
-    pub fn check_no_measured_board(&self) -> Result<(), Failure> {
-        match &self.board_shape {
-            BoardShapeArgument::Named(_) => Ok(()),
-            BoardShapeArgument::Measured(file) => Err(Failure::usage(format!(
-                "--board-shape {}: color and depth together take the board as stated; leave it out",
-                file.display()
-            ))),
-        }
-    }
-
     /// The lenses of a rig's cameras that are known.
     pub fn lenses(&self) -> Vec<GivenLens> {
         let lens = |given: &GivenArgument| match given {

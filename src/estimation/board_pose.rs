@@ -103,6 +103,32 @@ mod tests {
     use crate::geometry::board::{BoardSize, Chessboard};
     use crate::geometry::camera_matrix::CameraMatrix;
 
+    /// Also one that is not quite flat: points in space would be placed by their noise.
+    #[test]
+    fn an_uneven_board_is_placed_as_a_flat_one_is() {
+        let lens =
+            Lens::pinhole(CameraMatrix { fx: 800.0, fy: 800.0, cx: 320.0, cy: 240.0, skew: 0.0 });
+        let board = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.03).unwrap();
+        let noise = |k: usize| ((k as f64 * 12.9898).sin() * 43758.5453).fract();
+        for view in 0..40 {
+            let random = |k: usize| noise(7 * view + k);
+            let truth = Pose::from_axis_angle(
+                Vector3::new(0.9 * random(0), 0.9 * random(1), random(2)),
+                Vector3::new(0.1 * random(3), 0.1 * random(4), 1.5),
+            );
+            let seen = board.corners_in_board().into_iter().enumerate().map(|(k, mut point)| {
+                point.z = 0.0005 * noise(k + 1);
+                let mut pixel = lens.pixel_from_point(&(truth * point)).unwrap();
+                pixel.x += 0.1 * noise(1000 * view + k);
+                Correspondence { point_in_board: point, pixel, std_px: 0.1 }
+            });
+            let view = BoardView { name: "uneven".to_owned(), correspondences: seen.collect() };
+            let found = &board_poses(&lens, &view).unwrap()[0];
+            let off = found.camera_from_board.angle_to(&truth);
+            assert!(off < 0.02 && found.rms_px < 0.15, "{off} rad, {} px", found.rms_px);
+        }
+    }
+
     #[test]
     fn a_far_board_has_two_poses_and_the_better_is_the_true_one() {
         let lens =

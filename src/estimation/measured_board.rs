@@ -1,6 +1,8 @@
 //! A board and a shutter as a solve measured them, in meters.
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{DMatrix, Point3, Vector3};
+
+use crate::geometry::pose::Pose;
 
 /// A board's shape as a solve measured it, relative to the one that was stated. A rigid motion is
 /// no shape, and the mean scale is the stated one.
@@ -33,10 +35,65 @@ pub struct RollingShutter {
     pub agreement: f64,
 }
 
+/// Deviations below this, in meters, are rounding.
+const LEAST_STD_M: f64 = 1e-12;
+
 /// A corner nearer than this part of the board's extent to a measured one is it.
 const SAME_CORNER: f64 = 1e-3;
 
 impl MeasuredBoard {
+    /// One board that several cameras measured by themselves: each corner's offset is their mean,
+    /// weighted by 1 over the variance per axis. Of those that saw fewer corners than others nothing
+    /// is taken, as their shapes are relative to another mean. `None` of none.
+    pub fn mean_of(measured: &[Self]) -> Option<Self> {
+        let most = measured.iter().map(|board| board.points.len()).max()?;
+        let whole: Vec<&Self> =
+            measured.iter().filter(|board| board.points.len() == most).collect();
+        let (first, others) = whole.split_first()?;
+        let points = first.points.clone();
+        let (mut offsets_m, mut std_m) = (first.offsets_m.clone(), first.std_m.clone());
+        let mut unevenness_weight = first.unevenness_std_m.powi(-2);
+        for other in others {
+            let places: Option<Vec<usize>> =
+                points.iter().map(|point| other.nearest(point)).collect();
+            let Some(places) = places else { continue };
+            for (k, place) in places.into_iter().enumerate() {
+                for axis in 0..3 {
+                    let [own, added] = [std_m[k][axis], other.std_m[place][axis]]
+                        .map(|std: f64| std.max(LEAST_STD_M).powi(-2));
+                    let sum = own * offsets_m[k][axis] + added * other.offsets_m[place][axis];
+                    offsets_m[k][axis] = sum / (own + added);
+                    std_m[k][axis] = (own + added).powf(-0.5);
+                }
+            }
+            unevenness_weight += other.unevenness_std_m.powi(-2);
+        }
+        let square = offsets_m.iter().map(Vector3::norm_squared).sum::<f64>();
+        Some(Self {
+            unevenness_m: (square / offsets_m.len().max(1) as f64).sqrt(),
+            unevenness_std_m: unevenness_weight.powf(-0.5),
+            bow_m: bow_m(&points, &offsets_m),
+            points,
+            offsets_m,
+            std_m,
+        })
+    }
+
+    /// The same board in a frame where its points are at `b_from_a` of where they were.
+    #[must_use]
+    pub fn transformed(&self, b_from_a: &Pose) -> Self {
+        let rotation = b_from_a.rotation_matrix();
+        let variance = |std: &Vector3<f64>| {
+            let squares = rotation.component_mul(&rotation) * std.component_mul(std);
+            squares.map(f64::sqrt)
+        };
+        let points: Vec<Point3<f64>> = self.points.iter().map(|point| *b_from_a * *point).collect();
+        let offsets_m: Vec<Vector3<f64>> = self.offsets_m.iter().map(|o| rotation * o).collect();
+        let bow_m = bow_m(&points, &offsets_m);
+        let std_m = self.std_m.iter().map(variance).collect();
+        Self { points, offsets_m, std_m, bow_m, ..self.clone() }
+    }
+
     /// By how much the board is longer along its x than along its y, as a part of its length.
     pub fn aspect(&self) -> f64 {
         let mean = self.points.iter().map(|p| p.coords).sum::<Vector3<f64>>()
@@ -56,16 +113,35 @@ impl MeasuredBoard {
     /// How far the corner stated at `point` (in the board frame) was measured to be from there, in
     /// meters; `None` where none was measured.
     pub fn offset_at(&self, point: &Point3<f64>) -> Option<Vector3<f64>> {
-        let distance = |measured: &Point3<f64>| (measured - point).norm();
-        let (first, farthest) = (self.points.first()?, |from: &Point3<f64>| {
-            self.points.iter().map(|p| (p - from).norm()).fold(0.0, f64::max)
-        });
-        let near = SAME_CORNER * farthest(first);
-        let (nearest, offset) = self
-            .points
-            .iter()
-            .zip(&self.offsets_m)
-            .min_by(|a, b| distance(a.0).total_cmp(&distance(b.0)))?;
-        (distance(nearest) <= near).then_some(*offset)
+        self.nearest(point).map(|k| self.offsets_m[k])
     }
+
+    /// Which of the measured corners is the one stated at `point`.
+    fn nearest(&self, point: &Point3<f64>) -> Option<usize> {
+        let distance = |k: &usize| (self.points[*k] - point).norm();
+        let first = self.points.first()?;
+        let reach = self.points.iter().map(|p| (p - first).norm()).fold(0.0, f64::max);
+        let nearest = (0..self.points.len()).min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
+        (distance(&nearest) <= SAME_CORNER * reach).then_some(nearest)
+    }
+}
+
+/// How far heights over a board are bowed at its middle along x and y: the parabolas 1 − (x / half
+/// extent)² and 1 − (y / half extent)² about the middle of its `points` that fit them best beside a
+/// plane.
+pub(crate) fn bow_m(points: &[Point3<f64>], offsets_m: &[Vector3<f64>]) -> [f64; 2] {
+    let spans = [0, 1].map(|axis| {
+        let places = || points.iter().map(|point| point[axis]);
+        let (low, high) = places()
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
+        (0.5 * (low + high), (0.5 * (high - low)).max(f64::MIN_POSITIVE))
+    });
+    let columns = DMatrix::from_fn(points.len(), 5, |row, k| {
+        let [x, y] = [0, 1].map(|axis| (points[row][axis] - spans[axis].0) / spans[axis].1);
+        [1.0, x, y, 1.0 - x * x, 1.0 - y * y][k]
+    });
+    let heights = DMatrix::from_fn(points.len(), 1, |row, _| offsets_m[row].z);
+    let normal = columns.transpose() * &columns;
+    let solved = normal.cholesky().map(|factor| factor.solve(&(columns.transpose() * heights)));
+    solved.map_or([0.0; 2], |solved| [solved[3], solved[4]])
 }

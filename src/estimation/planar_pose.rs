@@ -13,8 +13,13 @@ use crate::geometry::homography::smallest_eigenvector;
 use crate::geometry::pixel::Bearing;
 use crate::geometry::pose::Pose;
 
-/// How flat points must be to be taken for a plane: their thickness over their width.
-const FLATNESS: f64 = 1e-4;
+/// Points narrower than this, across over along, are on a line.
+const LEAST_BREADTH: f64 = 1e-4;
+
+/// Points thinner than this, thickness over width, are taken for a plane: a board that is not
+/// even is a start as good as its own plane, while points in space need a thickness that stands out
+/// of the corners' noise, 3e-4 of a width of 300 px.
+const FLATNESS: f64 = 1e-2;
 
 /// The frame in which a set of points is flat.
 #[derive(Debug, Clone, Copy)]
@@ -66,7 +71,7 @@ impl Shape {
         let mut order = [0, 1, 2];
         order.sort_by(|a, b| eigen.eigenvalues[*b].total_cmp(&eigen.eigenvalues[*a]));
         let widths = order.map(|i| eigen.eigenvalues[i].max(0.0).sqrt());
-        if widths[1] < FLATNESS * widths[0] {
+        if widths[1] < LEAST_BREADTH * widths[0] {
             return None;
         }
         if widths[2] > FLATNESS * widths[0] {

@@ -22,6 +22,16 @@ pub struct Correspondence {
     pub std_px: f64,
 }
 
+impl Correspondence {
+    /// The same corner where `board` was measured to have it; where it was stated, if that was not
+    /// measured.
+    #[must_use]
+    pub fn placed_on(&self, board: &MeasuredBoard) -> Self {
+        let offset_m = board.offset_at(&self.point_in_board).unwrap_or_default();
+        Self { point_in_board: self.point_in_board + offset_m, ..*self }
+    }
+}
+
 /// One image of the board.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BoardView {
@@ -98,6 +108,18 @@ pub struct CameraOptions {
 }
 
 impl CameraOptions {
+    /// Options that hold every parameter of `lens`; `interrupt` ends the estimate.
+    pub fn holding(lens: &Lens, interrupt: &Interrupt) -> Self {
+        let names = Lens::parameter_names(lens.model()).into_iter().map(str::to_owned);
+        let given = names.zip(lens.parameters()).collect();
+        Self {
+            lens: LensChoice::Model(lens.model()),
+            given,
+            interrupt: interrupt.clone(),
+            ..Self::default()
+        }
+    }
+
     /// The same with the board as stated and all rows read at once.
     #[must_use]
     pub fn as_stated(self) -> Self {

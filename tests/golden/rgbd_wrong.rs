@@ -117,7 +117,7 @@ fn a_board_that_is_not_flat_is_reported() {
         bent(&rig.color, *pose, &mut capture.color);
         bent(&rig.depth, rig.depth_from_color * *pose, &mut capture.infrared);
     }
-    expect("a bent board", &input, "flat");
+    expect("a bent board", &input, "uneven");
 }
 
 #[test]

@@ -1,12 +1,18 @@
 //! Several sensors at once: where they are, to within the prediction; and what only a rig can find.
 
 use nalgebra::{Point3, Vector3};
+use plumb::calibration::rig_input::{RigInput, RigSensorInput};
+use plumb::calibration::sensor::SensorId;
+use plumb::calibration::solve_rig::solve_rig;
 use plumb::estimation::camera::CameraOptions;
 use plumb::estimation::error::EstimationError;
 use plumb::estimation::problem::LensChoice;
 use plumb::estimation::rig::{RigProblem, RigSensor, calibrate_rig};
 use plumb::estimation::view_fault::ViewFault;
+use plumb::geometry::lens::LensModel;
 use plumb::geometry::pose::Pose;
+use plumb::geometry::target::Target;
+use plumb::imaging::frame::SensorKind;
 use rand_distr::{Distribution, Normal};
 
 use crate::seeded_camera::SeededCamera;
@@ -28,12 +34,16 @@ fn center_in_board(problem: &RigProblem) -> Point3<f64> {
     Point3::from(points.iter().sum::<Vector3<f64>>() / points.len() as f64)
 }
 
-/// As [`stereo`], with where the left sensor sees the board at each instant.
-fn stereo_with_poses(frame_sets: usize, seed: u64) -> (RigProblem, Pose, Vec<Pose>) {
-    let (left, mut right) = (SeededCamera::ordinary(), SeededCamera::ordinary());
-    right.noise_px = 0.2;
+fn right_camera() -> SeededCamera {
+    let mut right = SeededCamera { noise_px: 0.2, ..SeededCamera::ordinary() };
     right.lens.matrix.fx = 500.0;
     right.lens.matrix.fy = 502.0;
+    right
+}
+
+/// As [`stereo`], with where the left sensor sees the board at each instant.
+fn stereo_with_poses(frame_sets: usize, seed: u64) -> (RigProblem, Pose, Vec<Pose>) {
+    let (left, right) = (SeededCamera::ordinary(), right_camera());
     let right_from_left =
         Pose::from_axis_angle(Vector3::new(0.01, -0.05, 0.02), Vector3::new(-0.06, 0.002, 0.004));
     let mut rng = SeededCamera::rng(seed);
@@ -189,6 +199,79 @@ fn a_right_rig_is_not_accused() {
         widened += factors.iter().filter(|factor| **factor > 1.0).count();
     }
     assert!(widened <= 6, "{widened} of 30");
+}
+
+/// Twists the board of `problem`: `height_m` up at two of its corners, as much down at the others.
+fn twisted(problem: &mut RigProblem, boards: &[Vec<Pose>], height_m: f64) {
+    let cameras = [SeededCamera::ordinary().lens, right_camera().lens];
+    for ((sensor, lens), boards) in problem.sensors.iter_mut().zip(&cameras).zip(boards) {
+        for ((_, view), sensor_from_board) in sensor.views.iter_mut().zip(boards) {
+            for corner in &mut view.correspondences {
+                let mut point = corner.point_in_board;
+                point.z = height_m * (point.x / 0.12 - 1.0) * (point.y / 0.075 - 1.0);
+                let [flat, bent] = [corner.point_in_board, point]
+                    .map(|point| lens.pixel_from_point(&(*sensor_from_board * point)).unwrap());
+                corner.pixel.x += bent.x - flat.x;
+                corner.pixel.y += bent.y - flat.y;
+            }
+        }
+    }
+}
+
+/// The board's shape is measured by both cameras and both are solved on it: lenses and pose as
+/// exact as stated, and far more exact than on the board as it was stated.
+#[test]
+fn an_uneven_board_is_measured_by_the_whole_rig() {
+    let (mut pose_z2, mut lens_z2, mut count) = (0.0, 0.0, 0.0);
+    let (mut squares, mut flat_squares) = (0.0, 0.0);
+    for seed in 400..420 {
+        let (mut problem, truth, left_from_board) = stereo_with_poses(20, seed);
+        let of_sensor = |sensor: usize, from_left: Pose| -> Vec<Pose> {
+            let views = problem.sensors[sensor].views.iter();
+            views.map(|(frame_set, _)| from_left * left_from_board[*frame_set]).collect()
+        };
+        let boards = [of_sensor(0, Pose::identity()), of_sensor(1, truth)];
+        twisted(&mut problem, &boards, 0.002);
+        let sensor = |sensor: &RigSensor| RigSensorInput {
+            id: SensorId { camera: Some(sensor.name.clone()), kind: SensorKind::Color },
+            name: sensor.name.clone(),
+            image_size: sensor.image_size,
+            given: None,
+            views: sensor.views.clone(),
+        };
+        let board = Target::Chessboard(SeededCamera::ordinary().board);
+        let input = RigInput { board, sensors: problem.sensors.iter().map(sensor).collect() };
+        let lens = LensChoice::Model(LensModel::Brown);
+        let options = CameraOptions { lens, ..CameraOptions::default() };
+        let solved = solve_rig(&input, &options).unwrap();
+        let shapes: Vec<_> =
+            solved.sensors.iter().map(|(_, sensor)| sensor.board_shape.as_ref().unwrap()).collect();
+        assert_eq!(shapes[0], shapes[1], "one board");
+        let off = (shapes[0].unevenness_m - 0.882e-3) / shapes[0].unevenness_std_m;
+        assert!(off.abs() < 4.0, "seed {seed}: {off} deviations");
+        let left_from_right = &solved.extrinsics[0];
+        let error_m =
+            left_from_right.target_from_source.translation() - truth.inverse().translation();
+        for (error, std) in error_m.iter().zip(left_from_right.translation_std_m) {
+            pose_z2 += (error / std).powi(2) / 3.0;
+        }
+        let flat = calibrate_rig(&problem).unwrap();
+        for (((_, sensor), flat), fx) in
+            solved.sensors.iter().zip(&flat.cameras).zip([560.0, 500.0])
+        {
+            let off = sensor.lens.matrix.fx - fx;
+            lens_z2 += (off / sensor.lens_std[0]).powi(2) / 2.0;
+            squares += off * off;
+            flat_squares += (flat.lens.matrix.fx - fx).powi(2);
+        }
+        count += 1.0;
+    }
+    let [pose_z, lens_z] = [pose_z2, lens_z2].map(|sum: f64| (sum / count).sqrt());
+    let ratio = f64::sqrt(squares / flat_squares);
+    let line =
+        format!("pose z {pose_z:.2}, fx z {lens_z:.2}; fx {ratio:.2} of the flat board's error");
+    println!("{line}");
+    assert!((0.7..1.3).contains(&pose_z) && (0.7..1.3).contains(&lens_z) && ratio < 0.5, "{line}");
 }
 
 #[test]

@@ -130,6 +130,8 @@ impl SeededRgbd {
         let views = poses.iter().enumerate().map(view).collect();
         RgbdProblem {
             color: self.color.lens,
+            color_options: CameraOptions::default(),
+            color_covariance: None,
             color_noise: 1.0,
             depth: DepthCamera {
                 image_size: self.depth.size,

@@ -4,7 +4,7 @@
 use nalgebra::{DMatrix, DVector, Point3, Vector3};
 
 use crate::estimation::effects::effects_fit::EffectsFit;
-use crate::estimation::measured_board::{MeasuredBoard, RollingShutter};
+use crate::estimation::measured_board::{MeasuredBoard, RollingShutter, bow_m};
 
 impl MeasuredBoard {
     /// `None` where the board's shape is not in the model; `center` is that of the problem's points.
@@ -24,7 +24,7 @@ impl MeasuredBoard {
         // (n rms). The offsets have no rigid part already.
         let pull = DVector::from_vec(basis.projections(&offsets));
         let variance = pull.dot(&(&effects.shape_covariance * &pull)).max(0.0);
-        let bow_m = bow_m(&basis.points, basis.half_extent, &offsets);
+        let bow_m = bow_m(&basis.points, &offsets);
         Some(Self {
             points: basis.points.iter().map(|point| point + center).collect(),
             unevenness_std_m: variance.sqrt() / (count * unevenness_m).max(f64::MIN_POSITIVE),
@@ -118,17 +118,4 @@ fn planar_variances(effects: &EffectsFit, rigid: &DMatrix<f64>) -> Vec<f64> {
         in_plane[(k, k)] - removed + (row * &inner * row.transpose())[0]
     };
     (0..size).map(variance).collect()
-}
-
-/// The parabolas 1 − (x / half extent)² and 1 − (y / half extent)² that fit the heights best beside
-/// a plane.
-fn bow_m(points: &[Point3<f64>], half: [f64; 2], offsets: &[Vector3<f64>]) -> [f64; 2] {
-    let columns = DMatrix::from_fn(points.len(), 5, |row, k| {
-        let (x, y) = (points[row].x / half[0], points[row].y / half[1]);
-        [1.0, x, y, 1.0 - x * x, 1.0 - y * y][k]
-    });
-    let heights = DMatrix::from_fn(points.len(), 1, |row, _| offsets[row].z);
-    let normal = columns.transpose() * &columns;
-    let solved = normal.cholesky().map(|factor| factor.solve(&(columns.transpose() * heights)));
-    solved.map_or([0.0; 2], |solved| [solved[3], solved[4]])
 }

@@ -73,4 +73,10 @@ impl FreeLens {
         }
         spread
     }
+
+    /// Of a covariance of all parameters of the lens, that of the free ones.
+    pub(crate) fn reduced(&self, covariance: &DMatrix<f64>) -> DMatrix<f64> {
+        let size = self.free.len();
+        DMatrix::from_fn(size, size, |i, j| covariance[(self.free[i], self.free[j])])
+    }
 }

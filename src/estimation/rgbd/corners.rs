@@ -8,7 +8,7 @@ use crate::estimation::clustered_covariance::{FitCovariance, ReducedView};
 use crate::estimation::joint::linearize::{Columns, LocalEquations, linearize_observation};
 use crate::estimation::joint::minimize::{Stop, walk};
 use crate::estimation::joint::normal::{NormalEquations, Step, chain};
-use crate::estimation::joint::{BoardObservation, Layout, State, moved};
+use crate::estimation::joint::{BoardObservation, FreeLens, Layout, SensorLayout, State, moved};
 use crate::estimation::rgbd::motion::{BoardMotion, TimeOffset};
 use crate::estimation::rgbd::pose_jitter::{PoseDifference, PoseJitter, eliminate, pose_part};
 use crate::estimation::rgbd::problem::{DepthLens, RgbdProblem, free, with_origin_at};
@@ -30,6 +30,8 @@ pub(super) struct CornerBlocks {
     pub(super) time_offset: Option<TimeOffset>,
     /// Views whose infrared image was taken at another time than even this says.
     pub(super) separate_in_time: Vec<usize>,
+    /// That of color's lens by color alone.
+    color_covariance: Option<DMatrix<f64>>,
 }
 
 /// Residual limit of an inlier, in standard deviations.
@@ -109,7 +111,7 @@ impl CornerBlocks {
             rig: start,
             offset_s: problem.time_offset.map_or(0.0, |offset| offset.seconds),
         };
-        let mut posed = CornerProblem::of(problem, center);
+        let mut posed = CornerProblem::of(problem, center)?;
         posed.start_jitter(&whole);
         for _ in 0..ROUNDS {
             let equations = posed.linearized(&whole)?;
@@ -128,8 +130,11 @@ impl CornerBlocks {
         let equations = posed.linearized(&whole)?;
         let views: Option<Vec<ReducedView>> =
             posed.seen_frame_sets().into_iter().map(|k| posed.part(&whole, k)).collect();
-        let covariance =
-            FitCovariance::of_views(equations.global_covariance()?, 1.0, &views?).all();
+        let by_views = FitCovariance::of_views(equations.global_covariance()?, 1.0, &views?).all();
+        let covariance = match &problem.color_covariance {
+            Some(by_itself) => with_shape(&posed.layout.sensors, by_views, by_itself),
+            None => by_views,
+        };
         let time_offset = posed.offset.map(|(at, before)| TimeOffset {
             seconds: whole.offset_s,
             std_s: covariance[(at, at)].max(0.0).sqrt(),
@@ -146,6 +151,7 @@ impl CornerBlocks {
             center,
             time_offset,
             separate_in_time,
+            color_covariance: problem.color_covariance.clone(),
         })
     }
 
@@ -157,6 +163,9 @@ impl CornerBlocks {
     }
 
     pub(super) fn lens_covariance(&self, sensor: usize) -> DMatrix<f64> {
+        if let (0, Some(by_itself)) = (sensor, &self.color_covariance) {
+            return by_itself.clone();
+        }
         let layout = &self.layout.sensors[sensor];
         let (at, count) = (layout.lens_at, layout.lens.free.len());
         let spread = layout.lens.spread(&self.state.lenses[sensor]);
@@ -165,8 +174,10 @@ impl CornerBlocks {
 }
 
 impl CornerProblem {
-    fn of(problem: &RgbdProblem, center: Vector3<f64>) -> Self {
-        let mut lenses = vec![free(&problem.color, usize::MAX)];
+    /// `None` for a given parameter that color's lens does not have.
+    fn of(problem: &RgbdProblem, center: Vector3<f64>) -> Option<Self> {
+        let of_color = FreeLens::from_options(problem.color.model(), &problem.color_options);
+        let mut lenses = vec![of_color.ok()?.0];
         if problem.depth_lens == DepthLens::Infrared {
             lenses.push(free(&problem.depth.lens, usize::MAX));
         }
@@ -199,14 +210,14 @@ impl CornerProblem {
             view.motion.filter(|_| offset.is_some()).map(|motion| motion.about(&lever))
         });
         let motions = motions.collect();
-        Self {
+        Some(Self {
             layout,
             observations,
             motions,
             offset,
             pose_jitter: PoseJitter { rotation: 1e-10, translation: 1e-10 },
             noise: 1.0,
-        }
+        })
     }
 
     /// Each board where it was when infrared was taken, as far as its motion says.
@@ -471,6 +482,27 @@ impl CornerProblem {
             .filter(|observation| observation.sensor == 1 && !observation.used.contains(&true));
         unused.map(|observation| observation.frame_set).collect()
     }
+}
+
+/// `covariance`, of all parameters on a board of known shape, widened by what is not known of the
+/// shape: of color's lens it is `by_itself`, which counts that. The other sensors see the same
+/// board, and their variances are wider by the mean factor of color's.
+fn with_shape(
+    sensors: &[SensorLayout],
+    covariance: DMatrix<f64>,
+    by_itself: &DMatrix<f64>,
+) -> DMatrix<f64> {
+    let [color, others @ ..] = sensors else { return covariance };
+    let own = color.lens.reduced(by_itself);
+    if others.is_empty() {
+        return own;
+    }
+    let (at, count) = (color.lens_at, color.lens.free.len());
+    let known_shape = covariance.view((at, at), (count, count)).into_owned();
+    let factor = known_shape
+        .cholesky()
+        .map_or(1.0, |factor| factor.solve(&own).trace() / count.max(1) as f64);
+    covariance * factor.max(1.0)
 }
 
 /// Root mean square per axis.

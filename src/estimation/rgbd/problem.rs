@@ -5,7 +5,7 @@ use nalgebra::{DMatrix, Matrix6, Vector3};
 use crate::estimation::depth_error::{JudgedTile, Smoothness, TriedCorrection};
 use crate::estimation::interrupt::Interrupt;
 use crate::estimation::joint::{FreeLens, moved};
-use crate::estimation::problem::Correspondence;
+use crate::estimation::problem::{CameraOptions, Correspondence};
 use crate::estimation::rgbd::motion::{BoardMotion, TimeOffset};
 use crate::geometry::depth_camera::{DepthCamera, DepthTile};
 use crate::geometry::depth_correction::CorrectedQuantity;
@@ -45,8 +45,13 @@ pub enum DepthLens {
 /// A camera with color and depth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RgbdProblem {
-    /// About the color camera's lens; all of it is estimated, but for a skew of 0.
+    /// About the color camera's lens.
     pub color: Lens,
+    /// What is estimated of it: `skew`, `square_pixels` and `given` count.
+    pub color_options: CameraOptions,
+    /// Covariance of its parameters by a solve of color alone that measured the board's shape, which
+    /// it counts; `None` for a board as stated: by the corners' scatter and by how views differ.
+    pub color_covariance: Option<DMatrix<f64>>,
     /// Standard deviation of a color corner relative to its own `std_px`.
     pub color_noise: f64,
     /// About the depth camera; its correction is ignored.

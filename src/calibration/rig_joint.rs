@@ -1,0 +1,193 @@
+//! Cameras of a rig that share views, solved together.
+
+use nalgebra::{Matrix3, Matrix6, Vector3};
+
+use crate::calibration::result::{Extrinsics, Grade, ImageCalibration, pose_std};
+use crate::calibration::rig_input::RigInput;
+use crate::calibration::rig_member::Alone;
+use crate::calibration::sensor::SensorId;
+use crate::calibration::solve::sensor_calibration;
+use crate::estimation::camera::CameraOptions;
+use crate::estimation::consistent_labels::consistent_labels;
+use crate::estimation::error::EstimationError;
+use crate::estimation::interrupt::Interrupt;
+use crate::estimation::measured_board::MeasuredBoard;
+use crate::estimation::problem::LensChoice;
+use crate::estimation::rig::{RigProblem, RigSensor, SensorPlace, calibrate_rig};
+use crate::geometry::pose::Pose;
+
+/// Cameras that were solved together.
+pub(super) struct Joint {
+    pub(super) sensors: Vec<ImageCalibration>,
+    pub(super) extrinsics: Vec<Extrinsics>,
+    /// For each sensor: its noise together with the others over that by itself.
+    rms_ratio: Vec<f64>,
+}
+
+impl Joint {
+    /// On the board as its cameras measured it, unless they fit it better as it is stated.
+    pub(super) fn solve(
+        input: &RigInput,
+        group: &[&Alone<'_>],
+        options: &CameraOptions,
+    ) -> Result<Self, EstimationError> {
+        let symmetries = input.board.symmetries();
+        let board_from_labels: Vec<Pose> = symmetries.iter().map(Pose::inverse).collect();
+        let chosen = consistent_labels(
+            &group.iter().map(|one| one.poses()).collect::<Vec<_>>(),
+            &symmetries,
+        );
+        let labels = (board_from_labels.as_slice(), chosen.as_slice());
+        if let Some(given) = &options.measured_board {
+            return Self::on_board(group, labels, (Some(given), &options.interrupt));
+        }
+        let stated = Self::on_board(group, labels, (None, &options.interrupt));
+        let Some(measured) = measured_by(group, labels) else { return stated };
+        match (stated, Self::on_board(group, labels, (Some(&measured), &options.interrupt))) {
+            (Ok(stated), Ok(on_measured)) if stated.misfit() < on_measured.misfit() => Ok(stated),
+            (stated, on_measured) => on_measured.or(stated),
+        }
+    }
+
+    fn on_board(
+        group: &[&Alone<'_>],
+        (board_from_labels, chosen): (&[Pose], &[Vec<usize>]),
+        (board, interrupt): (Option<&MeasuredBoard>, &Interrupt),
+    ) -> Result<Self, EstimationError> {
+        let sensor = |(one, chosen): (&&Alone<'_>, &Vec<usize>)| RigSensor {
+            name: one.input.name.clone(),
+            image_size: one.input.image_size,
+            views: one.with_labels_corrected(board_from_labels, chosen),
+            options: CameraOptions {
+                measured_board: board.cloned(),
+                ..match &one.input.given {
+                    Some(lens) => CameraOptions::holding(lens, interrupt),
+                    None => CameraOptions {
+                        lens: LensChoice::Model(one.solved.sensor.lens.model()),
+                        interrupt: interrupt.clone(),
+                        ..CameraOptions::default()
+                    },
+                }
+            },
+        };
+        let sensors: Vec<RigSensor> = group.iter().zip(chosen).map(sensor).collect();
+        let end = sensors
+            .iter()
+            .flat_map(|sensor| &sensor.views)
+            .map(|(frame_set, _)| frame_set + 1)
+            .max();
+        let problem = RigProblem { sensors, frame_sets: end.unwrap_or(0) };
+        let estimate = calibrate_rig(&problem)?;
+        let reference = &group[0].input.id;
+        let placed = group.iter().zip(&estimate.places).skip(1);
+        let as_solved = |(one, camera): (&&Alone<'_>, _)| ImageCalibration {
+            compared: one.solved.sensor.compared.clone(),
+            board_shape: board.cloned(),
+            board_warp_m: board.map(|board| board.bow_m),
+            ..sensor_calibration(camera)
+        };
+        let rms_ratio = group
+            .iter()
+            .zip(&estimate.cameras)
+            .map(|(one, camera)| camera.rms_px / one.solved.estimate.rms_px.max(1e-3));
+        Ok(Self {
+            sensors: group.iter().zip(&estimate.cameras).map(as_solved).collect(),
+            extrinsics: placed
+                .map(|(one, place)| reference_from(reference, &one.input.id, place))
+                .collect(),
+            rms_ratio: rms_ratio.collect(),
+        })
+    }
+
+    /// By how much all cameras fit worse together than by themselves.
+    fn misfit(&self) -> f64 {
+        self.rms_ratio.iter().map(|ratio| ratio * ratio).sum()
+    }
+
+    pub(super) fn findings(&self, group: &[&Alone<'_>]) -> Vec<(Grade, String)> {
+        let name = |member: usize| group[member].input.name.as_str();
+        let each = self.rms_ratio.iter().enumerate();
+        let misfitting = each.filter(|(_, rms_ratio)| **rms_ratio > MISFITTING);
+        let misfitting = misfitting.map(|(member, rms_ratio)| {
+            let cause =
+                "the board moved between the cameras' images, or the cameras against each other: hold it still";
+            let camera = name(member);
+            (
+                Grade::Usable,
+                format!("camera `{camera}` fits {rms_ratio:.1} times worse with the others than by itself; {cause}"),
+            )
+        });
+        let open = self.extrinsics.iter().enumerate().filter_map(|(place, known)| {
+            let (rotation_deg, translation_m) =
+                (largest(known.rotation_std).to_degrees(), largest(known.translation_std_m));
+            let loose = rotation_deg > LOOSE_DEG
+                || translation_m
+                    > LOOSE_PART * known.target_from_source.translation().norm().max(0.1);
+            let advice = "show the board to both in more places, near and tilted";
+            loose.then(|| {
+                let reason = format!(
+                    "{}_from_{} is known to {rotation_deg:.2}° and {:.1} mm only: {advice}",
+                    name(0),
+                    name(place + 1),
+                    1e3 * translation_m
+                );
+                (Grade::Usable, reason)
+            })
+        });
+        misfitting.chain(open).collect()
+    }
+}
+
+/// The board as cameras that labeled it alike in all their views measured it, its points where
+/// `labels` say that they are; `None` where none did.
+fn measured_by(
+    group: &[&Alone<'_>],
+    (board_from_labels, chosen): (&[Pose], &[Vec<usize>]),
+) -> Option<MeasuredBoard> {
+    let shape = |(one, chosen): (&&Alone<'_>, &Vec<usize>)| {
+        let shape = one.solved.estimate.board_shape.as_ref()?;
+        let (first, others) = chosen.split_first()?;
+        let alike = others.iter().all(|symmetry| symmetry == first);
+        alike.then(|| shape.transformed(&board_from_labels[*first]))
+    };
+    let shapes: Vec<MeasuredBoard> = group.iter().zip(chosen).filter_map(shape).collect();
+    MeasuredBoard::mean_of(&shapes)
+}
+
+/// A camera whose residuals grow by more than this when it is solved with the others was not where
+/// they say.
+const MISFITTING: f64 = 1.5;
+/// Standard deviations above which a relative pose is reported as loose: of the rotation in degrees,
+/// of the translation as a part of its length.
+const LOOSE_DEG: f64 = 0.1;
+const LOOSE_PART: f64 = 0.01;
+
+fn largest(values: [f64; 3]) -> f64 {
+    values.into_iter().fold(0.0, f64::max)
+}
+
+/// The pose the other way round, with its covariance carried along: with R, t of `sensor_from_rig`,
+/// a rotation ω and a translation τ of it are −Rᵀω and −Rᵀτ − Rᵀ\[t\]ω of its inverse.
+fn reference_from(reference: &SensorId, sensor: &SensorId, place: &SensorPlace) -> Extrinsics {
+    let rig_from_sensor = place.sensor_from_rig.inverse();
+    let back = rig_from_sensor.rotation_matrix();
+    let mut by_place = Matrix6::zeros();
+    by_place.fixed_view_mut::<3, 3>(0, 0).copy_from(&-back);
+    by_place.fixed_view_mut::<3, 3>(3, 3).copy_from(&-back);
+    by_place
+        .fixed_view_mut::<3, 3>(3, 0)
+        .copy_from(&(-back * cross(&place.sensor_from_rig.translation())));
+    let (rotation_std, translation_std) =
+        pose_std(&(by_place * place.covariance * by_place.transpose()));
+    Extrinsics {
+        target: reference.clone(),
+        source: sensor.clone(),
+        target_from_source: rig_from_sensor,
+        rotation_std: rotation_std.into(),
+        translation_std_m: translation_std.into(),
+    }
+}
+
+fn cross(v: &Vector3<f64>) -> Matrix3<f64> {
+    v.cross_matrix()
+}
