@@ -16,14 +16,17 @@ use crate::imaging::gray::GrayView;
 /// takes, and some that may lie on one line.
 const NEAR_END: usize = 12;
 /// Where print and paper are sampled at most, in sides of a cell from the end: as near as blur of a
-/// tenth of a cell allows, as the edge of an occluder, which lies anywhere, is another.
+/// tenth of a cell allows, as the edge of an occluder, which lies anywhere, is another. Swept with
+/// 400 rendered boards from 0.1 to 0.2: the same wrong sizes, five needless hints fewer to two more.
 const BESIDE_END: f32 = 0.15;
 /// Places along a cell's side whose mean counts, in sides from its middle: where a marker of any
 /// size has its border.
 const ALONG: [f32; 3] = [-0.2, 0.0, 0.2];
-/// Least difference of neighboring cells that are seen, in parts of the row's contrast.
+/// Least difference of neighboring cells that are seen, in parts of the row's contrast. Swept like
+/// this from 0.2 to 0.6: the same wrong sizes, up to three needless hints fewer.
 const LEAST_CONTRAST: f32 = 0.4;
-/// Largest difference of paper from the print of its color, in parts of the cells' contrast.
+/// Largest difference of paper from the print of its color, in parts of the cells' contrast. Swept
+/// like this from 0.2 to 0.45: the same wrong sizes, up to two needless hints fewer.
 const ALIKE: f32 = 0.3;
 /// Least cells that are seen to end, or pairs of a bright and a dark one: two that end on one line
 /// do so by chance where they end on that of the lattice, too.
