@@ -58,6 +58,9 @@ impl Joint {
             name: one.input.name.clone(),
             image_size: one.input.image_size,
             views: one.with_labels_corrected(board_from_labels, chosen),
+            lens_covariance_with_shape: board
+                .and(one.solved.estimate.board_shape.as_ref())
+                .map(|_| one.solved.estimate.lens_covariance.clone()),
             options: CameraOptions {
                 measured_board: board.cloned(),
                 ..match &one.input.given {

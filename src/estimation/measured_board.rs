@@ -145,3 +145,55 @@ pub(crate) fn bow_m(points: &[Point3<f64>], offsets_m: &[Vector3<f64>]) -> [f64;
     let solved = normal.cholesky().map(|factor| factor.solve(&(columns.transpose() * heights)));
     solved.map_or([0.0; 2], |solved| [solved[3], solved[4]])
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A board of 4 by 3 corners with these offsets at its first, the others as stated.
+    fn board(offset_mm: [f64; 3], std_mm: f64) -> MeasuredBoard {
+        let points: Vec<Point3<f64>> = (0..12)
+            .map(|k| Point3::new(0.03 * f64::from(k % 4), 0.03 * f64::from(k / 4), 0.0))
+            .collect();
+        let mut offsets_m = vec![Vector3::zeros(); 12];
+        offsets_m[0] = Vector3::from(offset_mm) * 1e-3;
+        MeasuredBoard {
+            std_m: vec![Vector3::repeat(1e-3 * std_mm); 12],
+            unevenness_m: offsets_m[0].norm() / 12.0_f64.sqrt(),
+            unevenness_std_m: 1e-3 * std_mm,
+            bow_m: bow_m(&points, &offsets_m),
+            points,
+            offsets_m,
+        }
+    }
+
+    #[test]
+    fn the_surer_of_two_counts_more_and_a_part_of_a_board_does_not() {
+        let (sure, unsure) = (board([0.4, 0.0, 0.0], 0.1), board([1.4, 0.0, 0.0], 0.2));
+        let mean = MeasuredBoard::mean_of(&[sure.clone(), unsure]).unwrap();
+        assert!((mean.offsets_m[0].x - 0.6e-3).abs() < 1e-9, "{}", mean.offsets_m[0]);
+        assert!((mean.std_m[0].x - 0.1e-3 / 1.25_f64.sqrt()).abs() < 1e-9);
+        let mut part = board([9.0, 0.0, 0.0], 0.01);
+        part.points.truncate(11);
+        part.offsets_m.truncate(11);
+        part.std_m.truncate(11);
+        assert_eq!(
+            MeasuredBoard::mean_of(&[part, sure.clone()]).unwrap().offsets_m,
+            sure.offsets_m
+        );
+        assert_eq!(MeasuredBoard::mean_of(&[]), None);
+    }
+
+    #[test]
+    fn a_board_that_is_labeled_from_its_other_end_is_the_same_one() {
+        let own = board([0.4, -0.1, 0.2], 0.1);
+        let b_from_a = Pose::from_axis_angle(
+            Vector3::z() * std::f64::consts::PI,
+            Vector3::new(0.09, 0.06, 0.0),
+        );
+        let other = own.transformed(&b_from_a);
+        let offset = other.offset_at(&Point3::new(0.09, 0.06, 0.0)).unwrap();
+        assert!((offset - Vector3::new(-0.4e-3, 0.1e-3, 0.2e-3)).norm() < 1e-12, "{offset}");
+        assert!((other.bow_m[0] - own.bow_m[0]).abs() < 1e-12);
+    }
+}

@@ -48,6 +48,7 @@ pub mod rig;
 pub(crate) mod robust;
 mod robust_fit;
 pub mod scene;
+mod shape_widening;
 mod start;
 pub mod two_view;
 pub mod uncertainty;

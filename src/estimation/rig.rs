@@ -2,7 +2,7 @@
 //! are, and where the board was at each frame set, in one joint problem. A sensor need not see every
 //! frame set.
 
-use nalgebra::Matrix6;
+use nalgebra::{DMatrix, Matrix6};
 
 use crate::estimation::camera_estimate::{CameraEstimate, Part, assemble};
 use crate::estimation::camera_fit::{CameraFit, fit_camera};
@@ -12,6 +12,7 @@ use crate::estimation::joint::{BoardObservation, Layout, State};
 use crate::estimation::lens_choice::choose_lens;
 use crate::estimation::problem::{BoardView, CameraOptions, CameraProblem, LensChoice, check};
 use crate::estimation::robust_fit::robust_fit;
+use crate::estimation::shape_widening::widening;
 use crate::estimation::start::{Prepared, mean_point};
 use crate::estimation::view_fault::ViewFault;
 use crate::geometry::median::median_pose;
@@ -38,6 +39,9 @@ pub struct RigSensor {
     pub views: Vec<(usize, BoardView)>,
     /// What to estimate of its lens; `warp` holds for the rig if it is set for the first sensor.
     pub options: CameraOptions,
+    /// Covariance of its lens by a solve of its own that measured the board's shape, which it
+    /// counts, where `options.measured_board` comes of it; `None` for a board of known shape.
+    pub lens_covariance_with_shape: Option<DMatrix<f64>>,
 }
 
 /// A calibrated rig.
@@ -87,11 +91,16 @@ pub fn calibrate_rig(problem: &RigProblem) -> Result<RigEstimate, EstimationErro
     }
     let fit = fit_jointly(problem, &alone)?;
     let known = FitCovariance::of(&fit).ok_or(EstimationError::NoFit)?;
+    let by_shape = shape_widening_of(problem, &alone);
     let (mut estimates, mut places, mut first_observation) = (Vec::new(), Vec::new(), 0);
     for (sensor, camera) in cameras.iter().enumerate() {
         let (prepared, own) = &alone[sensor];
         let part = Part { sensor, first_observation, noise: own_noise(own) };
-        estimates.push(assemble(camera, prepared, (&fit, Some(&known)), part)?);
+        let estimate = assemble(camera, prepared, (&fit, Some(&known)), part)?;
+        estimates.push(CameraEstimate {
+            lens_covariance: &estimate.lens_covariance * by_shape,
+            ..estimate
+        });
         let (covariance, variance_inflation) = match fit.layout.sensors[sensor].pose_at {
             Some(at) => {
                 let Clustered { covariance, factor, .. } = known.block_as_seen(at..at + 6);
@@ -100,10 +109,28 @@ pub fn calibrate_rig(problem: &RigProblem) -> Result<RigEstimate, EstimationErro
             None => (Matrix6::zeros(), 1.0),
         };
         let sensor_from_rig = fit.robust.minimum.state.sensor_from_rig[sensor];
+        let covariance = covariance * by_shape;
         places.push(SensorPlace { sensor_from_rig, covariance, variance_inflation });
         first_observation += camera.views.len();
     }
     Ok(RigEstimate { cameras: estimates, places })
+}
+
+/// By how many times variances are greater for what is not known of the board's shape. Each sensor
+/// that measured it says by how many when that is by itself; together they know it as many times
+/// better as they are.
+fn shape_widening_of(problem: &RigProblem, alone: &[(Prepared, CameraFit)]) -> f64 {
+    let of_sensor = |(sensor, (_, fit)): (&RigSensor, &(Prepared, CameraFit))| {
+        let with_shape = sensor.lens_covariance_with_shape.as_ref()?;
+        let known = FitCovariance::of(fit)?;
+        let layout = &fit.layout.sensors[0];
+        let (at, count) = (layout.lens_at, layout.lens.free.len());
+        let known_shape = known.block(at..at + count).covariance;
+        Some(widening(&layout.lens.reduced(with_shape), &known_shape) - 1.0)
+    };
+    let excess: Vec<f64> = problem.sensors.iter().zip(alone).filter_map(of_sensor).collect();
+    let count = excess.len().max(1) as f64;
+    1.0 + excess.iter().sum::<f64>() / (count * count)
 }
 
 impl RigSensor {

@@ -6,6 +6,7 @@ use std::f64::consts::FRAC_PI_2;
 use nalgebra::{DMatrix, Point3, Rotation3, Vector3, Vector6};
 use plumb::calibration::factory_check::FactoryCheck;
 use plumb::calibration::solve_rgbd::{SolvedRgbd, solve_rgbd};
+use plumb::estimation::camera::CameraOptions;
 use plumb::estimation::error::EstimationError;
 use plumb::estimation::interrupt::Interrupt;
 use plumb::estimation::problem::Correspondence;
@@ -230,6 +231,22 @@ fn an_uneven_board_is_measured_before_depth() {
         assert!((0.6..1.4).contains(&color) && ratio < 0.5, "{line}");
         assert!((0.4..1.4).contains(&pose) && infrared < 1.4, "{line}");
     }
+}
+
+/// What is given of color's lens holds in the joint solve, and is not infrared's.
+#[test]
+fn what_is_given_of_color_holds_beside_depth() {
+    let rig = SeededRgbd::new();
+    let mut rng = SeededCamera::rng(930);
+    let poses = rig.poses(14, &mut rng);
+    let fx = rig.color.lens.matrix.fx;
+    let given = vec![("fx".to_owned(), fx)];
+    let options = CameraOptions { given, ..SeededRgbd::options() };
+    let joint = solve_rgbd(&rig.input(&poses, &mut rng), &options).unwrap().joint;
+    assert_eq!((joint.color.matrix.fx, joint.color_covariance[(0, 0)]), (fx, 0.0));
+    let off = joint.depth.lens.matrix.fx - rig.depth.lens.matrix.fx;
+    assert!(off.abs() < 4.0 * joint.depth_covariance[(0, 0)].sqrt(), "{off} px");
+    assert!(joint.depth_covariance[(0, 0)] > 0.0);
 }
 
 /// Moves corners to where a camera sees them on a board whose corners are half a millimeter up at

@@ -56,7 +56,13 @@ fn stereo_with_poses(frame_sets: usize, seed: u64) -> (RigProblem, Pose, Vec<Pos
         let lens = LensChoice::Model(camera.lens.model());
         let options = CameraOptions { lens, ..CameraOptions::default() };
         let views = frame_sets.into_iter().zip(views).collect();
-        RigSensor { name: name.to_owned(), image_size: camera.size, views, options }
+        RigSensor {
+            name: name.to_owned(),
+            image_size: camera.size,
+            views,
+            options,
+            lens_covariance_with_shape: None,
+        }
     };
     let sensors = vec![
         sensor("left", &left, Pose::identity(), &mut rng),

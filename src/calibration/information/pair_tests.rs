@@ -232,6 +232,7 @@ fn rig_problem(lenses: [&Lens; 2], seen: &[(Pose, [bool; 2])], mut seed: u64) ->
             image_size: SIZE,
             views: views.map(view).collect(),
             options: CameraOptions { lens, ..CameraOptions::default() }.as_stated(),
+            lens_covariance_with_shape: None,
         }
     });
     RigProblem { sensors: sensors.into(), frame_sets: seen.len() }

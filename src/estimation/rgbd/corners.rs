@@ -8,7 +8,8 @@ use crate::estimation::clustered_covariance::{FitCovariance, ReducedView};
 use crate::estimation::joint::linearize::{Columns, LocalEquations, linearize_observation};
 use crate::estimation::joint::minimize::{Stop, walk};
 use crate::estimation::joint::normal::{NormalEquations, Step, chain};
-use crate::estimation::joint::{BoardObservation, FreeLens, Layout, SensorLayout, State, moved};
+use crate::estimation::joint::{BoardObservation, FreeLens, Layout, State, moved};
+use crate::estimation::rgbd::covariance_with_shape::covariance_with_shape;
 use crate::estimation::rgbd::motion::{BoardMotion, TimeOffset};
 use crate::estimation::rgbd::pose_jitter::{PoseDifference, PoseJitter, eliminate, pose_part};
 use crate::estimation::rgbd::problem::{DepthLens, RgbdProblem, free, with_origin_at};
@@ -132,7 +133,7 @@ impl CornerBlocks {
             posed.seen_frame_sets().into_iter().map(|k| posed.part(&whole, k)).collect();
         let by_views = FitCovariance::of_views(equations.global_covariance()?, 1.0, &views?).all();
         let covariance = match &problem.color_covariance {
-            Some(by_itself) => with_shape(&posed.layout.sensors, by_views, by_itself),
+            Some(by_itself) => covariance_with_shape(&posed.layout.sensors, by_views, by_itself),
             None => by_views,
         };
         let time_offset = posed.offset.map(|(at, before)| TimeOffset {
@@ -482,27 +483,6 @@ impl CornerProblem {
             .filter(|observation| observation.sensor == 1 && !observation.used.contains(&true));
         unused.map(|observation| observation.frame_set).collect()
     }
-}
-
-/// `covariance`, of all parameters on a board of known shape, widened by what is not known of the
-/// shape: of color's lens it is `by_itself`, which counts that. The other sensors see the same
-/// board, and their variances are wider by the mean factor of color's.
-fn with_shape(
-    sensors: &[SensorLayout],
-    covariance: DMatrix<f64>,
-    by_itself: &DMatrix<f64>,
-) -> DMatrix<f64> {
-    let [color, others @ ..] = sensors else { return covariance };
-    let own = color.lens.reduced(by_itself);
-    if others.is_empty() {
-        return own;
-    }
-    let (at, count) = (color.lens_at, color.lens.free.len());
-    let known_shape = covariance.view((at, at), (count, count)).into_owned();
-    let factor = known_shape
-        .cholesky()
-        .map_or(1.0, |factor| factor.solve(&own).trace() / count.max(1) as f64);
-    covariance * factor.max(1.0)
 }
 
 /// Root mean square per axis.

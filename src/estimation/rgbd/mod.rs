@@ -11,6 +11,7 @@
 //! Depth is measured by the infrared camera where there is one: they share lens and pose.
 
 mod corners;
+mod covariance_with_shape;
 pub mod device_prior;
 pub mod motion;
 mod plane_covariance;
