@@ -31,6 +31,8 @@ pub(super) struct CornerBlocks {
     pub(super) time_offset: Option<TimeOffset>,
     /// Views whose infrared image was taken at another time than even this says.
     pub(super) separate_in_time: Vec<usize>,
+    /// No board moved between color and infrared.
+    pub(super) found_still: bool,
     /// That of color's lens by color alone.
     color_covariance: Option<DMatrix<f64>>,
 }
@@ -67,33 +69,10 @@ struct CornerProblem {
 }
 
 impl CornerBlocks {
-    /// Two ways where the board's motion is known: each board moved on to when infrared was taken,
-    /// or taken as it was for views in which it stood still, the others left out. The one that
-    /// knows the sensors' pose better is right: velocities can be wrong where frames are rare,
-    /// and hardly a view may be still.
-    pub(super) fn fit(problem: &RgbdProblem) -> Option<Self> {
-        let as_taken = Self::fit_one(&RgbdProblem { time_offset: None, ..problem.clone() });
-        let Some(offset) = problem.time_offset else { return as_taken };
-        let moved_on = Self::fit_one(problem);
-        let unsure =
-            |corners: &Option<Self>| corners.as_ref().map_or(f64::INFINITY, Self::unsure_m2);
-        if unsure(&moved_on) <= unsure(&as_taken) {
-            return moved_on;
-        }
-        as_taken.map(|corners| Self {
-            time_offset: Some(offset),
-            separate_in_time: Vec::new(),
-            ..corners
-        })
-    }
-
-    /// How uncertain the sensors' pose is: the variance of where a point 1 m away is, in m².
-    fn unsure_m2(&self) -> f64 {
-        let at = self.layout.sensors.get(1).and_then(|sensor| sensor.pose_at);
-        at.map_or(0.0, |at| (at..at + 6).map(|k| self.covariance[(k, k)]).sum())
-    }
-
-    fn fit_one(problem: &RgbdProblem) -> Option<Self> {
+    /// The fit from where sensors were calibrated one by one. The board's motion between color and
+    /// infrared starts at what the views' poses have in the middle; or, where `together`, at none:
+    /// infrared's lens is then fitted to the boards where color has them.
+    pub(super) fn fit_from(problem: &RgbdProblem, together: bool) -> Option<Self> {
         let corners =
             || problem.views.iter().flat_map(|view| view.color.iter().chain(&view.infrared));
         let center = corners().map(|c| c.point_in_board.coords).sum::<Vector3<f64>>()
@@ -113,7 +92,9 @@ impl CornerBlocks {
             offset_s: problem.time_offset.map_or(0.0, |offset| offset.seconds),
         };
         let mut posed = CornerProblem::of(problem, center)?;
-        posed.start_jitter(&whole);
+        if !together {
+            posed.start_jitter(&whole);
+        }
         for _ in 0..ROUNDS {
             let equations = posed.linearized(&whole)?;
             let stepped = |whole: &CornerState, step: &Step| posed.stepped(whole, step);
@@ -143,7 +124,9 @@ impl CornerBlocks {
         });
         let depth_state = posed.at_depth(&whole);
         let separate_in_time = posed.separate_in_time();
+        let found_still = posed.pose_jitter.is_none() && separate_in_time.is_empty();
         Some(Self {
+            found_still,
             layout: posed.layout,
             state: whole.rig,
             depth_state,

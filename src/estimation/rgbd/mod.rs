@@ -10,6 +10,7 @@
 //!
 //! Depth is measured by the infrared camera where there is one: they share lens and pose.
 
+mod corner_starts;
 mod corners;
 mod covariance_with_shape;
 pub mod device_prior;
@@ -25,7 +26,7 @@ pub use problem::{DepthLens, PlacedDevice, RgbdEstimate, RgbdProblem, RgbdView};
 use crate::estimation::depth_error::{Smoothness, TriedCorrection, choose_correction};
 use crate::estimation::error::EstimationError;
 use crate::estimation::joint::State;
-use crate::estimation::rgbd::corners::CornerBlocks;
+use crate::estimation::rgbd::corner_starts::fit_corners;
 use crate::estimation::rgbd::planes::{Fit, Planes};
 use crate::geometry::depth_correction::{CorrectedQuantity, DepthCorrection, SplineGrid};
 use crate::geometry::pose::Pose;
@@ -46,7 +47,7 @@ pub fn calibrate_rgbd(problem: &RgbdProblem) -> Result<RgbdEstimate, EstimationE
             rejected: String::new(),
         });
     }
-    let corners = CornerBlocks::fit(problem).ok_or_else(|| no_fit(problem))?;
+    let corners = fit_corners(problem).ok_or_else(|| no_fit(problem))?;
     let by_corners = corners.equations.frame_sets.as_slice();
     let mut planes = Planes::of(problem, &corners.depth_state, by_corners);
     let (fit, (smoothness, tried)) = fit_correction(problem, &mut planes, &corners.depth_state)?;

@@ -95,6 +95,11 @@ impl PoseJitter {
         self
     }
 
+    /// The views show none.
+    pub(super) fn is_none(self) -> bool {
+        self.rotation <= NONE && self.translation <= NONE
+    }
+
     pub(super) fn is_near(self, other: Self) -> bool {
         let near = |a: f64, b: f64| (a / b).ln().abs() < 0.05 || a.max(b) < 1e-13;
         near(self.rotation, other.rotation) && near(self.translation, other.translation)
