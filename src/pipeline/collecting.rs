@@ -82,7 +82,7 @@ impl SessionThread {
         let size = depth.frame.image_size;
         let picture = self.store.sensor_picture(session, place.frame_set, &depth.sensor).ok()??;
         let frame = frame_from_file(SensorKind::Depth, picture.bytes);
-        let sees = |view: &SensorView| {
+        let sees = |view: &&SensorView| {
             view.sensor.kind.is_of_depth()
                 && view.frame.image_size == size
                 && view.detection.is_some()
@@ -93,7 +93,7 @@ impl SessionThread {
             image: Arc::new(DepthImage::from_frame(&frame).ok()?),
             encoding: depth.depth_encoding.unwrap_or(DepthEncoding::ORDINARY),
             factory: factory.sensor(SensorKind::Depth).and_then(|it| it.lens_and_pose(size)),
-            infrared_sees: together().any(sees),
+            infrared: together().find(sees).and_then(|view| view.detection.clone()),
         })
     }
 

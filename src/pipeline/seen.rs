@@ -79,14 +79,15 @@ impl SeenFrame {
 
     fn depth(&self, stated: Option<&FactorySensor>) -> Option<DepthFrame> {
         let depth = self.sensors.iter().find(|of| of.sensor == SensorKind::Depth)?;
-        let sees = |of: &SensorObservation| {
+        let is_infrared = |of: &&SensorObservation| {
             of.sensor.is_of_depth() && of.image_size == depth.image_size && of.detection.is_some()
         };
+        let infrared = self.sensors.iter().find(is_infrared);
         Some(DepthFrame {
             image: depth.depth.clone()?,
             encoding: depth.depth_encoding.unwrap_or(DepthEncoding::ORDINARY),
             factory: stated.and_then(|stated| stated.lens_and_pose(depth.image_size)),
-            infrared_sees: self.sensors.iter().any(sees),
+            infrared: infrared.and_then(|of| of.detection.clone()),
         })
     }
 

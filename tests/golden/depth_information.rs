@@ -4,14 +4,13 @@
 use nalgebra::{DMatrix, DVector, Matrix6, Point3, Vector6};
 use plumb::calibration::information::depth_goal::DepthGoal;
 use plumb::calibration::information::depth_information::DepthInformation;
+use plumb::calibration::information::infrared_corners::InfraredNormal;
 use plumb::calibration::information::lens_information::{LensInformation, open_parameters};
 use plumb::calibration::information::projection_goal::GoalFigure;
 use plumb::calibration::information::view_information::{ViewNormal, WeightedCorner};
 use plumb::estimation::board_pose::board_poses;
-use plumb::estimation::problem::BoardView;
-use plumb::estimation::rgbd::plane_information::{
-    POSE_AT, PlacedDepth, PlaneNormal, depth_pose_step,
-};
+use plumb::estimation::problem::{BoardView, Correspondence};
+use plumb::estimation::rgbd::plane_information::{PlacedDepth, PlaneNormal, depth_pose_step};
 use plumb::estimation::rgbd::{RgbdEstimate, RgbdView, calibrate_rgbd};
 use plumb::geometry::depth_camera::DepthReading;
 use plumb::geometry::lens::Lens;
@@ -31,24 +30,42 @@ fn predicted(rig: &SeededRgbd, views: &[RgbdView]) -> (DepthInformation, PlacedD
         views.iter().flat_map(|view| &view.tiles).map(|tile| 1.0 / tile.inverse_depth).collect();
     let seen_m =
         [f64::min, f64::max].map(|of: fn(f64, f64) -> f64| z_m.iter().copied().reduce(of).unwrap());
-    let depth =
-        PlacedDepth::new((rig.depth.lens, rig.depth.size), rig.depth_from_color, (reading, seen_m));
+    let lens = (rig.depth.lens, rig.depth.size);
+    let mut depth = PlacedDepth::new(lens, rig.depth_from_color, (reading, seen_m));
+    if rig.with_infrared {
+        depth = depth.with_open_lens();
+    }
     let free = open_parameters(rig.color.lens.model());
     let nothing = DMatrix::zeros(free.len(), free.len());
     let color = LensInformation { lens: rig.color.lens, free, matrix: nothing };
     let mut known = DepthInformation::of_solve(&color, &depth);
+    if rig.with_infrared {
+        known = known.with_infrared(&depth);
+    }
     for view in views {
-        let corners: Vec<WeightedCorner> = (view.color.iter())
-            .map(|seen| WeightedCorner { point_in_board: seen.point_in_board, std_px: seen.std_px })
-            .collect();
-        let normal = ViewNormal::of(&rig.color.lens, &view.color_from_board, &corners);
+        let normal =
+            ViewNormal::of(&rig.color.lens, &view.color_from_board, &weighted(&view.color));
         known.color += normal.lens_information(&known.free).unwrap();
         let centered = Pose::new(view.color_from_board.rotation(), normal.middle_in_camera);
         let planes = PlaneNormal::of(&depth, &centered, (&view.tiles, 1.0)).unwrap();
-        let taught = known.of_view(&normal, &planes).unwrap();
+        let taught = if rig.with_infrared {
+            let infrared_from_board = rig.depth_from_color * view.color_from_board;
+            let corners = weighted(&view.infrared);
+            let infrared = ViewNormal::of(&rig.depth.lens, &infrared_from_board, &corners);
+            let infrared = InfraredNormal::of(&depth, &normal.middle_in_camera, &infrared);
+            known.of_view_with_infrared(&normal, (&infrared, Some(&planes))).unwrap()
+        } else {
+            known.of_view(&normal, &planes).unwrap()
+        };
         known.add(&taught);
     }
     (known, depth)
+}
+
+fn weighted(corners: &[Correspondence]) -> Vec<WeightedCorner> {
+    (corners.iter())
+        .map(|seen| WeightedCorner { point_in_board: seen.point_in_board, std_px: seen.std_px })
+        .collect()
 }
 
 /// Where color sees depth's pixel at a distance.
@@ -67,12 +84,13 @@ fn rig() -> SeededRgbd {
 }
 
 /// Solves of the same poses with other noise against what is predicted of them.
-fn compared(rig: &SeededRgbd, views: usize, seed: u64) -> f64 {
+fn compared(rig: &SeededRgbd, views: usize, seed: u64) -> [f64; 2] {
     let poses = rig.poses(views, &mut SeededCamera::rng(seed));
     let problem = rig.problem(&poses, &mut SeededCamera::rng(1000 * seed));
     let (known, depth) = predicted(rig, &problem.views);
+    let at = depth.pose_at();
     let covariance: Matrix6<f64> =
-        known.covariance().unwrap().fixed_view::<6, 6>(POSE_AT, POSE_AT).into_owned();
+        known.covariance().unwrap().fixed_view::<6, 6>(at, at).into_owned();
     let middle = (Pixel::new(160.0, 120.0), 0.6);
     let color = (&rig.color.lens, known.free.as_slice(), rig.color.size);
     let sizes = (&depth, rig.depth.size);
@@ -108,7 +126,7 @@ fn compared(rig: &SeededRgbd, views: usize, seed: u64) -> f64 {
          0.8 m {bands:.4?} px",
         each.as_slice()
     );
-    mean_square
+    [mean_square, rms_px / predicted_px]
 }
 
 #[test]
@@ -118,9 +136,12 @@ fn what_is_predicted_of_depth_is_what_its_solves_scatter_by() {
         Err(_) => vec![61],
     };
     for seed in seeds {
-        let mean_square = compared(&rig(), 12, seed);
-        // 360 numbers of which each six are independent: 1 ± 0.07.
-        assert!((mean_square - 1.0).abs() < 0.3, "{mean_square}");
+        let infrared = SeededRgbd { with_infrared: true, error: rig().error, ..SeededRgbd::new() };
+        for rig in [rig(), infrared] {
+            let [mean_square, _] = compared(&rig, 12, seed);
+            // 360 numbers of which each six are independent: 1 ± 0.07.
+            assert!((mean_square - 1.0).abs() < 0.3, "{mean_square}");
+        }
     }
 }
 
@@ -134,6 +155,7 @@ fn derivatives_of_depth_s_points_are_those_of_differences() {
         (reading, [0.3, 2.0]),
     );
     depth.correction.coefficients = vec![0.01, -0.02];
+    let depth = depth.with_open_lens();
     for (pixel, z_m) in [(Pixel::new(20.0, 200.0), 0.5), (Pixel::new(170.0, 100.0), 1.3)] {
         let (point, by_depth) = depth.point_in_color(pixel, z_m).unwrap();
         let measured = depth.uncorrected(pixel, 1.0 / z_m);
@@ -189,10 +211,7 @@ fn depth_moves_with_color_s_lens_as_its_information_says() {
     for view in &views {
         let seen = BoardView { name: String::new(), correspondences: view.color.clone() };
         let color_from_board = board_poses(&moved, &seen).unwrap()[0].camera_from_board;
-        let corners: Vec<WeightedCorner> = (view.color.iter())
-            .map(|seen| WeightedCorner { point_in_board: seen.point_in_board, std_px: seen.std_px })
-            .collect();
-        let color = ViewNormal::of(&moved, &color_from_board, &corners);
+        let color = ViewNormal::of(&moved, &color_from_board, &weighted(&view.color));
         let centered = Pose::new(color_from_board.rotation(), color.middle_in_camera);
         let planes = PlaneNormal::of(&depth, &centered, (&view.tiles, 1.0)).unwrap();
         let inverse = (color.by_pose + planes.by_pose).try_inverse().unwrap();

@@ -216,7 +216,8 @@ fn corners(
 ) -> Vec<Correspondence> {
     let noise = Normal::new(0.0, 0.05).unwrap();
     let points = camera.board.corners_in_board();
-    let exact = camera.exact(camera_from_board).unwrap();
+    // A board that reaches out of the image is none.
+    let Some(exact) = camera.exact(camera_from_board) else { return Vec::new() };
     let each = points.into_iter().zip(exact).map(|(point_in_board, pixel)| Correspondence {
         point_in_board,
         pixel: Pixel::new(pixel.x + noise.sample(rng), pixel.y + noise.sample(rng)),

@@ -1,5 +1,5 @@
-//! What is known of a depth camera beside a color camera from planes: its lens, where it is and its
-//! error in depth, and how all of it moves with what is not known of color's lens.
+//! What is known of a depth camera beside a color camera: its lens, where it is and its error in
+//! depth, and how all of it moves with what is not known of color's lens.
 //!
 //! ```text
 //! N = Σ over views of (A − C (H + P)⁻¹ Cᵀ) / σ²      K = Σ over views of C (H + P)⁻¹ Gᵀ / σ²
@@ -10,14 +10,25 @@
 //! those (pose, lens × pose) of color's corners, Λ what is known of color's lens. As in the solve,
 //! corners come first: planes teach the depth camera, and color's lens only passes on what it is
 //! not known by. t is by how much neighboring readings err together.
+//!
+//! Where infrared sees boards, its corners teach lens and place, and planes the error in depth
+//! alone, with R and S their blocks (error, error), (error, lens and place) of the sum over views,
+//! and κ, N₁ and K₁ what corners say:
+//!
+//! ```text
+//! N = [N₁ + Sᵀ R⁻¹ S, Sᵀ; S, R]      K = [K₁ + Sᵀ R⁻¹ κ; κ]
+//! ```
+//!
+//! which has the covariance that corners leave of lens and place, whatever planes say.
 
-use nalgebra::{DMatrix, DVector, SMatrix};
+use std::borrow::Cow;
 
+use nalgebra::{DMatrix, DVector, Matrix6, SMatrix};
+
+use crate::calibration::information::infrared_corners::InfraredNormal;
 use crate::calibration::information::lens_information::{LensInformation, inverse};
 use crate::calibration::information::view_information::{ViewNormal, inverse_of_pose};
-use crate::estimation::rgbd::plane_information::{
-    CORRECTION_AT, LENS_PARAMETERS, POSE_AT, PlacedDepth, PlaneNormal,
-};
+use crate::estimation::rgbd::plane_information::{PlacedDepth, PlaneNormal};
 use crate::geometry::lens::MAX_PARAMETERS;
 
 /// What is known of a depth camera.
@@ -27,8 +38,11 @@ pub struct DepthInformation {
     pub free: Vec<usize>,
     /// The inverse of the covariance of those.
     pub color: DMatrix<f64>,
-    /// What planes say of the depth camera, color's lens being known.
+    /// What views say of the depth camera, color's lens being known.
     pub depth: DepthNormal,
+    /// Corners that infrared sees teach all parameters of the depth camera before this one, which
+    /// its correction begins with; `None` where planes teach all of them.
+    pub by_infrared: Option<usize>,
     /// By how much the variance of means over many readings is greater than if each erred by
     /// itself; at least 1.
     pub together: f64,
@@ -49,8 +63,11 @@ const PRIOR_FOCAL: f64 = 0.3;
 /// … that of the principal point, relative to the focal length, and the rotation beside color, in
 /// radians …
 const PRIOR_ANGLE: f64 = 0.2;
-/// … and where it is, in meters: about where devices have it.
+/// … where it is, in meters: about where devices have it …
 const PRIOR_PLACE_M: f64 = 0.2;
+/// … and the coefficients of its distortion: 1 moves pixels one focal length from the middle by as
+/// much. The solve takes nothing for known of them.
+const PRIOR_DISTORTION: f64 = 1.0;
 
 impl DepthNormal {
     /// A part of it.
@@ -65,13 +82,14 @@ impl DepthInformation {
     pub fn prior(color: &LensInformation, depth: &PlacedDepth) -> Self {
         let mut by_depth = depth.correction_prior();
         let focal_px = 0.5 * (depth.lens.matrix.fx + depth.lens.matrix.fy);
-        for k in 0..CORRECTION_AT {
-            let std = match k {
-                0 | 1 => PRIOR_FOCAL * focal_px,
-                _ if k < LENS_PARAMETERS => PRIOR_ANGLE * focal_px,
-                _ if k < POSE_AT + 3 => PRIOR_ANGLE,
-                _ => PRIOR_PLACE_M,
-            };
+        let of_lens = |index: &usize| match index {
+            0 | 1 => PRIOR_FOCAL * focal_px,
+            2 | 3 => PRIOR_ANGLE * focal_px,
+            _ => PRIOR_DISTORTION,
+        };
+        let of_place = [PRIOR_ANGLE, PRIOR_ANGLE, PRIOR_ANGLE].into_iter();
+        let of_place = of_place.chain([PRIOR_PLACE_M; 3]);
+        for (k, std) in depth.open.iter().map(of_lens).chain(of_place).enumerate() {
             by_depth[(k, k)] += 1.0 / (std * std);
         }
         Self::nothing(color, by_depth)
@@ -88,17 +106,64 @@ impl DepthInformation {
             free: color.free.clone(),
             color: color.matrix.clone(),
             depth: DepthNormal { by_depth, by_color },
+            by_infrared: None,
             together: 1.0,
         }
     }
 
-    /// What one view says: color's corners, and the board's surface as depth measured it, with the
-    /// board's pose about the same point as [`ViewNormal::middle_in_camera`]. `None` where corners
-    /// do not determine the board's pose.
+    /// The same where infrared sees boards too.
+    #[must_use]
+    pub fn with_infrared(self, depth: &PlacedDepth) -> Self {
+        Self { by_infrared: Some(depth.correction_at()), ..self }
+    }
+
+    /// What one view says by planes: color's corners, and the board's surface as depth measured
+    /// it, with the board's pose about the same point as [`ViewNormal::middle_in_camera`]. `None`
+    /// where corners do not determine the board's pose.
     pub fn of_view(&self, color: &ViewNormal, planes: &PlaneNormal) -> Option<DepthNormal> {
-        let inverse = inverse_of_pose(&(color.by_pose + planes.by_pose))?;
-        let through = &planes.coupling * inverse;
-        let by_depth = &planes.by_depth - &through * planes.coupling.transpose();
+        let of_surface = (&planes.by_depth, &planes.coupling, &planes.by_pose);
+        let mut view = self.without_board(color, of_surface)?;
+        if let Some(taught) = self.by_infrared {
+            view.by_depth.view_mut((0, 0), (taught, taught)).fill(0.0);
+            view.by_color.view_mut((0, 0), (taught, self.free.len())).fill(0.0);
+        }
+        Some(view)
+    }
+
+    /// As [`Self::of_view`], of a view in which infrared sees the board, and planes or not.
+    pub fn of_view_with_infrared(
+        &self,
+        color: &ViewNormal,
+        (infrared, planes): (&InfraredNormal, Option<&PlaneNormal>),
+    ) -> Option<DepthNormal> {
+        let of_corners = (&infrared.by_depth, &infrared.coupling, &infrared.by_pose);
+        let by_corners = self.without_board(color, of_corners)?;
+        let (Some(planes), Some(taught)) = (planes, self.by_infrared) else {
+            return Some(by_corners);
+        };
+        let both = (
+            &(&infrared.by_depth + &planes.by_depth),
+            &(&infrared.coupling + &planes.coupling),
+            &(infrared.by_pose + planes.by_pose),
+        );
+        let mut all = self.without_board(color, both)?;
+        let (lens_and_place, free) = ((taught, taught), (taught, self.free.len()));
+        all.by_depth
+            .view_mut((0, 0), lens_and_place)
+            .copy_from(&by_corners.by_depth.view((0, 0), lens_and_place));
+        all.by_color.view_mut((0, 0), free).copy_from(&by_corners.by_color.view((0, 0), free));
+        Some(all)
+    }
+
+    /// Normal equations beside those of color's corners, with the board's pose eliminated.
+    fn without_board(
+        &self,
+        color: &ViewNormal,
+        (by_depth, coupling, by_pose): (&DMatrix<f64>, &DMatrix<f64>, &Matrix6<f64>),
+    ) -> Option<DepthNormal> {
+        let inverse = inverse_of_pose(&(color.by_pose + by_pose))?;
+        let through = coupling * inverse;
+        let by_depth = by_depth - &through * coupling.transpose();
         let coupling: &SMatrix<f64, MAX_PARAMETERS, 6> = &color.coupling;
         let of_free = DMatrix::from_fn(6, self.free.len(), |a, k| coupling[(self.free[k], a)]);
         let by_color = through * of_free;
@@ -122,10 +187,27 @@ impl DepthInformation {
         known
     }
 
+    /// N and K of all views.
+    fn of_all_views(&self) -> Option<Cow<'_, DepthNormal>> {
+        let Some(at) = self.by_infrared else { return Some(Cow::Borrowed(&self.depth)) };
+        let DepthNormal { by_depth, by_color } = &self.depth;
+        let (count, free) = (by_depth.nrows() - at, self.free.len());
+        let shared = by_depth.view((at, 0), (count, at));
+        let error = inverse(&by_depth.view((at, at), (count, count)).into_owned())?;
+        let through = shared.transpose() * error;
+        let mut all = self.depth.clone();
+        let mut lens_and_place = all.by_depth.view_mut((0, 0), (at, at));
+        lens_and_place += &through * shared;
+        let mut of_color = all.by_color.view_mut((0, 0), (at, free));
+        of_color += &through * by_color.view((at, 0), (count, free));
+        Some(Cow::Owned(all))
+    }
+
     /// The covariance of the depth camera's parameters; `None` where they are not determined.
     pub fn covariance(&self) -> Option<DMatrix<f64>> {
-        let by_depth = inverse(&self.depth.by_depth)?;
-        let by_color = &by_depth * &self.depth.by_color;
+        let views = self.of_all_views()?;
+        let by_depth = inverse(&views.by_depth)?;
+        let by_color = &by_depth * &views.by_color;
         Some(by_depth * self.together + &by_color * inverse(&self.color)? * by_color.transpose())
     }
 
@@ -136,24 +218,25 @@ impl DepthInformation {
         by_depth: &DMatrix<f64>,
         by_color: &DMatrix<f64>,
     ) -> Option<[DMatrix<f64>; 2]> {
-        let scale = scales(&self.depth.by_depth);
-        let scaled = scaled(&self.depth.by_depth, &scale);
-        let factor = scaled.cholesky()?;
-        let mut own = DMatrix::from_fn(by_depth.nrows(), by_depth.ncols(), |row, column| {
-            by_depth[(row, column)] * scale[row]
-        });
-        factor.l_dirty().solve_lower_triangular_mut(&mut own).then_some(())?;
-        let mut moved = own.clone();
-        factor.l_dirty().tr_solve_lower_triangular_mut(&mut moved).then_some(())?;
-        moved.row_iter_mut().zip(scale.iter()).for_each(|(mut row, scale)| row *= *scale);
-        let by_color = by_color + self.depth.by_color.tr_mul(&moved);
-        let scale = scales(&self.color);
-        let factor = self::scaled(&self.color, &scale).cholesky()?;
-        let mut through = by_color;
-        through.row_iter_mut().zip(scale.iter()).for_each(|(mut row, scale)| row *= *scale);
-        factor.l_dirty().solve_lower_triangular_mut(&mut through).then_some(())?;
+        let views = self.of_all_views()?;
+        let factor = inverse_factor(&views.by_depth)?;
+        let own = &factor * by_depth;
+        let moved = factor.transpose() * &own;
+        let by_color = by_color + views.by_color.transpose() * moved;
+        let through = inverse_factor(&self.color)? * by_color;
         Some([own * self.together.sqrt(), through])
     }
+}
+
+/// L⁻¹ of M = L Lᵀ. There are far more columns than parameters: products with the inverse take a
+/// fraction of the time that solving for each takes.
+fn inverse_factor(matrix: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+    let scale = scales(matrix);
+    let factor = scaled(matrix, &scale).cholesky()?;
+    let mut inverse = DMatrix::identity(matrix.nrows(), matrix.nrows());
+    factor.l_dirty().solve_lower_triangular_mut(&mut inverse).then_some(())?;
+    inverse.column_iter_mut().zip(scale.iter()).for_each(|(mut column, scale)| column *= *scale);
+    Some(inverse)
 }
 
 /// Parameters differ by orders of magnitude.

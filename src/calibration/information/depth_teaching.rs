@@ -5,21 +5,28 @@
 //! The depth camera is fitted anew whenever the views with depth have grown by a third or color's
 //! lens was estimated anew, with color's poses held as well as their corners hold them; in between
 //! information only adds up.
+//!
+//! Once its infrared image shows three boards, its lens and place are where corners have them, as
+//! in the solve, and planes teach the error in depth alone.
 
 use nalgebra::{DMatrix, Point3};
 
+use crate::calibration::information::board_in_depth::{BoardInDepth, MeasuredView, distance_m};
 use crate::calibration::information::corner_noise::side_px;
 use crate::calibration::information::depth_fit::{FittedDepth, few, fit_depth};
 use crate::calibration::information::depth_goal::DepthGoal;
 use crate::calibration::information::depth_information::{DepthInformation, DepthNormal};
 use crate::calibration::information::expected_depth::DepthTileNoise;
+use crate::calibration::information::infrared_corners::InfraredNormal;
 use crate::calibration::information::teaching::{TaughtView, Teaching};
 use crate::calibration::information::view_information::ViewNormal;
 use crate::calibration::rgbd_guess::{board_outline, same_view};
 use crate::detection::board_plane::{NoPlane, PlaneOptions, find_board_plane};
+use crate::estimation::problem::BoardView;
 use crate::estimation::rgbd::plane_information::{PlacedDepth, PlaneNormal};
 use crate::geometry::depth_camera::{DepthReading, DepthTile};
 use crate::geometry::lens::Lens;
+use crate::geometry::median::median_pose;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
@@ -37,8 +44,12 @@ pub struct DepthTeaching {
     depth: PlacedDepth,
     views: Vec<MeasuredView>,
     estimated_among: usize,
-    /// Color's lens at that estimate.
-    estimated_beside: Option<Lens>,
+    /// Color's lens at that estimate, and that of infrared where it counted.
+    estimated_beside: Option<(Lens, Option<Lens>)>,
+    /// What infrared, which measures depth, has been taught; `None` before it sees a board.
+    infrared: Option<Teaching>,
+    /// Its corners taught the depth camera's lens and place at that estimate.
+    by_infrared: bool,
     /// By how much tiles scatter more than their readings do, and neighbors together.
     scatter: [f64; 2],
     pub(super) noise: DepthTileNoise,
@@ -58,8 +69,18 @@ pub(super) struct DepthNow {
 pub(super) struct ExpectedView {
     /// Of color's lens.
     pub(super) of_color: DMatrix<f64>,
-    /// Of depth, with the distance that it would measure, in meters; `None` where it would not.
-    pub(super) of_depth: Option<(DepthNormal, f64)>,
+    /// Of depth; `None` where it would see nothing of it.
+    pub(super) of_depth: Option<DepthNormal>,
+    /// The distance that it would measure, in meters.
+    pub(super) z_m: Option<f64>,
+}
+
+/// A board that nobody holds yet: where it would be before color, and what its corners would say
+/// in color's image and, where infrared sees it, in infrared's.
+pub(super) struct BoardBefore<'a> {
+    pub(super) color_from_board: &'a Pose,
+    pub(super) in_color: &'a ViewNormal,
+    pub(super) in_infrared: Option<&'a ViewNormal>,
 }
 
 /// What a depth camera is before a session, as far as anyone states it.
@@ -73,18 +94,6 @@ pub struct DeviceDepth {
     pub invalid: Option<u16>,
     /// Its lens, and where color is.
     pub factory: Option<(Lens, Pose)>,
-}
-
-/// The board's surface in the depth image of one view.
-#[derive(Debug, Clone, PartialEq)]
-pub struct MeasuredView {
-    /// Which of the session's views it is.
-    pub number: u32,
-    tiles: Vec<DepthTile>,
-    /// Some of them, and for how many each stands.
-    few: (Vec<DepthTile>, f64),
-    /// The distance of the surface, in meters.
-    z_m: f64,
 }
 
 /// The solve takes as many views with depth.
@@ -117,6 +126,8 @@ impl DepthTeaching {
             views: Vec::new(),
             estimated_among: 0,
             estimated_beside: None,
+            infrared: None,
+            by_infrared: false,
             scatter: [1.0; 2],
             noise: DepthTileNoise::default(),
             now: None,
@@ -205,22 +216,42 @@ impl DepthTeaching {
         (lens, self.guess.depth_from_color)
     }
 
-    /// Takes a view in; `color` has it already.
-    pub fn add(&mut self, view: MeasuredView, color: &Teaching) {
-        self.views.push(view);
+    /// What the corners `seen` by infrared in its image show, which is depth's image; `color` is the
+    /// camera beside it.
+    pub fn see(
+        &mut self,
+        (seen, blur_px): (BoardView, f64),
+        (color, taught): (&Teaching, &TaughtView),
+    ) -> Option<TaughtView> {
+        let nothing = || Teaching::new(&self.target, self.size, (color.choice(), color.figure()));
+        self.infrared.get_or_insert_with(nothing).view(taught.number, seen, blur_px)
+    }
+
+    /// Takes a view in, which `color` has already as its `number`-th.
+    pub fn add(&mut self, number: u32, view: BoardInDepth, color: &Teaching) {
+        self.views.extend(view.surface.map(|surface| surface.numbered(number)));
+        let infrared = self.infrared.as_mut().zip(view.infrared);
+        infrared.into_iter().for_each(|(all, view)| all.add(view.numbered(number)));
         self.sum_up(color);
     }
 
     /// Takes the view with this number out.
     pub fn remove(&mut self, number: u32) {
         self.views.retain(|view| view.number != number);
+        self.infrared.iter_mut().for_each(|infrared| infrared.remove(number));
+    }
+
+    /// What infrared has been taught, where its corners teach the depth camera's lens and place.
+    pub(super) fn infrared(&self) -> Option<&Teaching> {
+        self.infrared.as_ref().filter(|_| self.by_infrared)
     }
 
     /// Takes in what `color` has been taught meanwhile.
     pub fn sum_up(&mut self, color: &Teaching) {
         let count = self.views.len();
         let grown = count as f64 >= GROWTH * self.estimated_among as f64;
-        let is_due = grown || self.estimated_beside != Some(*color.lens());
+        let infrared = self.usable_infrared().map(|infrared| *infrared.lens());
+        let is_due = grown || self.estimated_beside != Some((*color.lens(), infrared));
         if count >= LEAST_VIEWS && is_due && color.is_estimated() {
             self.estimate(color);
         }
@@ -250,34 +281,33 @@ impl DepthTeaching {
 
     /// How much surer that would be with one more view: the mean over the image of the relative
     /// drop of its standard deviation, 0 to 1. One without depth teaches of color's lens alone.
-    pub fn gain(&self, taught: &TaughtView, measured: Option<&MeasuredView>) -> f64 {
-        let Some((now, after)) = self.after(taught, measured) else { return 0.0 };
+    pub fn gain(&self, taught: &TaughtView, view: &BoardInDepth) -> f64 {
+        let Some((now, after)) = self.after(taught, view) else { return 0.0 };
         let drops = now.std_px.iter().zip(&after).map(|(now, after)| 1.0 - after / now);
         drops.sum::<f64>() / now.std_px.len() as f64
     }
 
     /// By how much the goal's criterion would fall with one more view, 0 to 1.
-    pub fn drop(&self, taught: &TaughtView, measured: Option<&MeasuredView>) -> f64 {
-        let after = self.after(taught, measured);
+    pub fn drop(&self, taught: &TaughtView, view: &BoardInDepth) -> f64 {
+        let after = self.after(taught, view);
         after.map_or(0.0, |(now, after)| now.drop(&after))
     }
 
-    /// As [`Self::drop`], of a view that color's corners would have `normal` of.
+    /// As [`Self::drop`], of a board that nobody holds yet.
     pub(super) fn expected(
         &self,
         color: &Teaching,
-        (color_from_board, normal): (&Pose, &ViewNormal),
+        board: &BoardBefore<'_>,
     ) -> Option<ExpectedView> {
         let now = self.now.as_ref()?;
-        let of_color = normal.lens_information(&now.known.free)?;
-        let board = color.board();
-        let tiles = self.noise.expected((&self.depth, self.size), (board, color_from_board));
-        let of_depth = tiles.and_then(|(tiles, weight)| {
-            let centered = Pose::new(color_from_board.rotation(), normal.middle_in_camera);
-            let planes = PlaneNormal::of(&self.depth, &centered, (&tiles, self.weight(weight)))?;
-            Some((now.known.of_view(normal, &planes)?, distance_m(&tiles)))
-        });
-        Some(ExpectedView { of_color, of_depth })
+        let of_color = board.in_color.lens_information(&now.known.free)?;
+        let place = (color.board(), board.color_from_board);
+        let tiles = self.noise.expected((&self.depth, self.size), place);
+        let z_m = tiles.as_ref().map(|(tiles, _)| distance_m(tiles));
+        let tiles = tiles.as_ref().map(|(tiles, count)| (tiles.as_slice(), *count));
+        let corners = (board.in_color, board.in_infrared);
+        let of_depth = self.normal(&now.known, (board.color_from_board, corners), tiles);
+        Some(ExpectedView { of_color, z_m: z_m.filter(|_| of_depth.is_some()), of_depth })
     }
 
     /// The nearest and the farthest distance that boards were measured at; `None` before the first.
@@ -303,46 +333,93 @@ impl DepthTeaching {
         self.now.as_ref()
     }
 
-    fn after(
-        &self,
-        taught: &TaughtView,
-        measured: Option<&MeasuredView>,
-    ) -> Option<(&DepthNow, Vec<f64>)> {
+    fn after(&self, taught: &TaughtView, view: &BoardInDepth) -> Option<(&DepthNow, Vec<f64>)> {
         let now = self.now.as_ref()?;
         if taught.information().nrows() != now.known.free.len() {
             return None;
         }
-        let depth = measured.and_then(|measured| self.normal(&now.known, taught, measured));
+        let seen = (view.surface.as_ref(), view.infrared.as_ref());
+        let depth = self.normal_of(&now.known, taught, seen);
         let after = now.known.with(taught.information(), depth.as_ref());
         Some((now, now.goal.std_px(&after)?))
     }
 
-    /// How much a tile counts that stands for `count` of them.
-    fn weight(&self, count: f64) -> f64 {
-        count / (self.scatter[0] * self.scatter[0])
-    }
-
-    fn normal(
+    fn normal_of(
         &self,
         known: &DepthInformation,
         taught: &TaughtView,
-        measured: &MeasuredView,
+        (surface, infrared): (Option<&MeasuredView>, Option<&TaughtView>),
     ) -> Option<DepthNormal> {
-        let (tiles, count) = &measured.few;
-        let planes =
-            PlaneNormal::of(&self.depth, &taught.centered(), (tiles, self.weight(*count)))?;
-        known.of_view(taught.normal(), &planes)
+        let tiles = surface.map(|surface| (surface.few.0.as_slice(), surface.few.1));
+        let corners = (taught.normal(), infrared.map(TaughtView::normal));
+        self.normal(known, (&taught.camera_from_board, corners), tiles)
+    }
+
+    /// What one view says of depth: by the corners that color sees and, where they count, those
+    /// that infrared sees, and by some tiles of the board's surface, each of which stands for as
+    /// many.
+    fn normal(
+        &self,
+        known: &DepthInformation,
+        (color_from_board, (color, infrared)): (&Pose, (&ViewNormal, Option<&ViewNormal>)),
+        tiles: Option<(&[DepthTile], f64)>,
+    ) -> Option<DepthNormal> {
+        let centered = Pose::new(color_from_board.rotation(), color.middle_in_camera);
+        let [tile_scatter, together] = self.scatter.map(|scatter| scatter * scatter);
+        // Where corners teach lens and place, theirs is no scatter of planes.
+        let variance = if self.by_infrared { tile_scatter * together } else { tile_scatter };
+        let planes = tiles.and_then(|(tiles, count)| {
+            PlaneNormal::of(&self.depth, &centered, (tiles, count / variance))
+        });
+        let infrared = infrared.filter(|_| self.by_infrared);
+        let infrared = infrared
+            .map(|corners| InfraredNormal::of(&self.depth, &color.middle_in_camera, corners));
+        match (infrared, planes) {
+            (Some(infrared), planes) => {
+                known.of_view_with_infrared(color, (&infrared, planes.as_ref()))
+            }
+            (None, Some(planes)) => known.of_view(color, &planes),
+            (None, None) => None,
+        }
     }
 
     fn known(&self, color: &Teaching) -> Option<DepthNow> {
         let mut known = DepthInformation::prior(color.known(), &self.depth);
-        known.together = self.scatter[1] * self.scatter[1];
-        for (taught, measured) in self.with_color(color) {
-            self.normal(&known, taught, measured).into_iter().for_each(|view| known.add(&view));
+        if self.by_infrared {
+            known = known.with_infrared(&self.depth);
+        } else {
+            known.together = self.scatter[1] * self.scatter[1];
+        }
+        for taught in color.views() {
+            let surface = self.views.iter().find(|view| view.number == taught.number);
+            let view = self.normal_of(&known, taught, (surface, self.in_infrared(taught)));
+            view.into_iter().for_each(|view| known.add(&view));
         }
         let goal = self.goal(color, (&known.free, self.seen_m()?))?;
         let std_px = goal.std_px(&known)?;
         Some(DepthNow { known, goal, std_px })
+    }
+
+    /// The same view in infrared.
+    fn in_infrared(&self, taught: &TaughtView) -> Option<&TaughtView> {
+        self.infrared.as_ref()?.views().iter().find(|view| view.number == taught.number)
+    }
+
+    /// Infrared, where it has seen enough for its lens to be known by its corners.
+    fn usable_infrared(&self) -> Option<&Teaching> {
+        let infrared = self.infrared.as_ref()?;
+        (infrared.is_estimated() && infrared.views().len() >= LEAST_VIEWS).then_some(infrared)
+    }
+
+    /// The depth camera's lens and place as corners have them.
+    fn placed_by_infrared(&self, color: &Teaching) -> Option<(Lens, Pose)> {
+        let infrared = self.usable_infrared()?;
+        let both = color.views().iter().filter_map(|taught| {
+            let board_from_color = taught.camera_from_board.inverse();
+            Some(self.in_infrared(taught)?.camera_from_board * board_from_color)
+        });
+        let depth_from_color: Vec<Pose> = both.collect();
+        Some((*infrared.lens(), median_pose(&depth_from_color)?))
     }
 
     /// Each view with what color saw in it.
@@ -360,8 +437,21 @@ impl DepthTeaching {
         let [near, far] = self.seen_m().unwrap_or([1.0; 2]);
         let mut start = self.guess.clone();
         start.correction.seen_m = [near / BEYOND_SEEN, far * BEYOND_SEEN];
-        start.lens = self.guess(color).0;
-        let prior = DepthInformation::prior(color.known(), &start).depth.by_depth;
+        let by_infrared = self.placed_by_infrared(color);
+        (start.lens, start.depth_from_color) = by_infrared.unwrap_or_else(|| self.guess(color));
+        self.by_infrared = by_infrared.is_some();
+        if self.by_infrared {
+            start = start.with_open_lens();
+        }
+        self.estimated_beside = Some((*color.lens(), by_infrared.map(|(lens, _)| lens)));
+        // As well as corners alone have it.
+        self.depth = start.clone();
+        let mut known = DepthInformation::prior(color.known(), &start);
+        for taught in color.views().iter().filter(|_| self.by_infrared) {
+            let view = self.normal_of(&known, taught, (None, self.in_infrared(taught)));
+            view.into_iter().for_each(|view| known.add(&view));
+        }
+        let prior = known.depth.by_depth;
         let views: Vec<_> = self.with_color(color).collect();
         let each: Vec<_> =
             (views.iter()).map(|(taught, measured)| (*taught, measured.tiles.as_slice())).collect();
@@ -374,7 +464,6 @@ impl DepthTeaching {
             view.into_iter().for_each(|view| view.few = few(&view.tiles, &used));
         }
         self.estimated_among = self.views.len();
-        self.estimated_beside = Some(*color.lens());
         self.noise.learn(self.views.iter().map(|view| (view.z_m, view.tiles.as_slice())));
     }
 }
@@ -384,24 +473,4 @@ impl DepthNow {
     pub(super) fn drop(&self, after: &[f64]) -> f64 {
         1.0 - self.goal.criterion_px(after) / self.goal.criterion_px(&self.std_px)
     }
-}
-
-impl MeasuredView {
-    fn new(number: u32, tiles: Vec<DepthTile>) -> Self {
-        let z_m = distance_m(&tiles);
-        let few = few(&tiles, &vec![true; tiles.len()]);
-        Self { number, tiles, few, z_m }
-    }
-
-    /// The same as the `number`-th view.
-    #[must_use]
-    pub fn numbered(self, number: u32) -> Self {
-        Self { number, ..self }
-    }
-}
-
-/// The distance of a surface, in meters.
-fn distance_m(tiles: &[DepthTile]) -> f64 {
-    let sum = tiles.iter().map(|tile| tile.inverse_depth).sum::<f64>();
-    tiles.len() as f64 / sum.max(f64::MIN_POSITIVE)
 }

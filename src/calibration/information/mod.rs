@@ -28,12 +28,14 @@
 //! | which view to ask for that both see | [`next_shared_view`] |
 //! | what a session's views have taught of two cameras together | [`pair_teaching`] |
 //! | what planes say of a depth camera beside color | [`depth_information`] |
+//! | what corners that infrared sees say of it | [`infrared_corners`] |
 //! | how uncertain it is where color sees what depth measures | [`depth_goal`] |
 //! | what depth would measure of a board | [`expected_depth`] |
 //! | which view to ask for so that depth is known | [`next_depth_view`] |
-//! | what a session's views have taught of depth | [`depth_teaching`], `depth_fit` |
+//! | what a session's views have taught of depth | [`depth_teaching`], [`board_in_depth`], `depth_fit` |
 //! | which images of a pool to take | [`pool`] |
 
+pub mod board_in_depth;
 pub mod candidate_views;
 pub mod corner_noise;
 mod depth_fit;
@@ -41,6 +43,7 @@ pub mod depth_goal;
 pub mod depth_information;
 pub mod depth_teaching;
 pub mod expected_depth;
+pub mod infrared_corners;
 pub mod lens_information;
 pub mod movement;
 pub mod next_depth_view;

@@ -8,7 +8,7 @@ use nalgebra::Point3;
 use crate::calibration::information::candidate_views::{CandidateSpace, Holding};
 use crate::calibration::information::depth_goal::DepthGoal;
 use crate::calibration::information::depth_information::DepthInformation;
-use crate::calibration::information::depth_teaching::{DepthTeaching, ExpectedView};
+use crate::calibration::information::depth_teaching::{BoardBefore, DepthTeaching, ExpectedView};
 use crate::calibration::information::teaching::Teaching;
 use crate::calibration::information::view_information::ViewNormal;
 use crate::calibration::information::view_search::{
@@ -43,6 +43,8 @@ struct DepthLesson<'a> {
     known: KnownDepth,
     color: &'a Teaching,
     space: &'a CandidateSpace<'a>,
+    /// Where infrared can see boards, where its corners count.
+    infrared: Option<&'a CandidateSpace<'a>>,
 }
 
 /// What is known of depth, and what is to be known of it.
@@ -58,6 +60,8 @@ struct KnownDepth {
 struct BeforeColor {
     camera_from_board: Pose,
     normal: ViewNormal,
+    /// The same before infrared, where it sees the board.
+    in_infrared: Option<ViewNormal>,
 }
 
 impl Lesson for DepthLesson<'_> {
@@ -76,16 +80,26 @@ impl Lesson for DepthLesson<'_> {
         let view = self.space.view(holding)?;
         let (camera_from_board, likely) = (view.camera_from_board, view.likely);
         let normal = ViewNormal::of(self.space.lens, &camera_from_board, &view.corners);
-        let view = BeforeColor { camera_from_board, normal };
+        let in_infrared = self.infrared.and_then(|space| {
+            let infrared_from_board = self.depth.depth().depth_from_color * camera_from_board;
+            let view = space.view_at(holding, infrared_from_board)?;
+            Some(ViewNormal::of(space.lens, &view.camera_from_board, &view.corners))
+        });
+        let view = BeforeColor { camera_from_board, normal, in_infrared };
         Some(LessonCandidate { view, camera_from_board, likely })
     }
 
     fn information(&self, view: &BeforeColor) -> Option<ExpectedView> {
-        self.depth.expected(self.color, (&view.camera_from_board, &view.normal))
+        let board = BoardBefore {
+            color_from_board: &view.camera_from_board,
+            in_color: &view.normal,
+            in_infrared: view.in_infrared.as_ref(),
+        };
+        self.depth.expected(self.color, &board)
     }
 
     fn after(&self, known: &KnownDepth, view: &ExpectedView, part: f64) -> KnownDepth {
-        let of_depth = view.of_depth.as_ref().map(|(view, _)| view.scaled(part));
+        let of_depth = view.of_depth.as_ref().map(|view| view.scaled(part));
         let information = known.information.with(&(&view.of_color * part), of_depth.as_ref());
         KnownDepth { information, ..known.clone() }
     }
@@ -100,8 +114,7 @@ impl Lesson for DepthLesson<'_> {
     /// more, and are asked for.
     fn kept(&self, known: KnownDepth, view: &ExpectedView) -> KnownDepth {
         let [near_m, far_m] = known.seen_m;
-        let z_m = view.of_depth.as_ref().map(|(_, z_m)| *z_m);
-        let beyond = z_m.filter(|z_m| !(near_m..=far_m).contains(z_m));
+        let beyond = view.z_m.filter(|z_m| !(near_m..=far_m).contains(z_m));
         let seen_m = beyond.map(|z_m| [near_m.min(z_m), far_m.max(z_m)]);
         let goal = seen_m.and_then(|seen_m| {
             let goal = self.depth.goal(self.color, (&known.information.free, seen_m))?;
@@ -131,7 +144,9 @@ pub fn suggest_depth_view(
     let space = color.space(&noise, &avoided);
     let (information, goal) = (now.known.clone(), Rc::new(now.goal.clone()));
     let known = KnownDepth { information, goal, seen_m: depth.seen_m()? };
-    let lesson = DepthLesson { depth, known, color, space: &space };
+    let of_infrared = depth.infrared().map(|infrared| (infrared, infrared.corner_noise()));
+    let infrared = of_infrared.as_ref().map(|(infrared, noise)| infrared.space(noise, &[]));
+    let lesson = DepthLesson { depth, known, color, space: &space, infrared: infrared.as_ref() };
     let from = color.views().last().map(|view| &view.camera_from_board);
     let found = find_view(&lesson, &SIZE, (from, goal_px))?;
     let before = lesson.uncertainty_px(&lesson.known)?;

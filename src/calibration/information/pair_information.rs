@@ -41,15 +41,8 @@ impl PairInformation {
     /// What a view adds that both cameras see; `None` where the corners do not determine the
     /// board's pose.
     pub fn of_view(&self, [a, b]: [&ViewNormal; 2]) -> Option<DMatrix<f64>> {
-        let rotation = self.b_from_a.rotation_matrix();
-        let lever = b.middle_in_camera - self.b_from_a.translation();
-        let offset = lever - rotation * a.middle_in_camera;
-        // How the board moves in b when b_from_a does, and when it moves in a.
-        let (mut by_place, mut by_board) = (Matrix6::identity(), Matrix6::zeros());
-        by_place.fixed_view_mut::<3, 3>(3, 0).copy_from(&-lever.cross_matrix());
-        by_board.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
-        by_board.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotation);
-        by_board.fixed_view_mut::<3, 3>(3, 0).copy_from(&(-offset.cross_matrix() * rotation));
+        let middles = [&a.middle_in_camera, &b.middle_in_camera];
+        let RelativeMotion { by_place, by_board } = RelativeMotion::of(&self.b_from_a, middles);
         let of_board = b.by_pose * by_board;
         let inverse = inverse_of_pose(&(a.by_pose + by_board.transpose() * of_board))?;
         // Rows: a's lens, b's lens, b_from_a.
@@ -109,6 +102,29 @@ impl PairInformation {
     pub fn place_covariance(&self) -> Option<Matrix6<f64>> {
         let at = self.matrix.nrows() - 6;
         Some(inverse(&self.matrix)?.fixed_view::<6, 6>(at, at).into_owned())
+    }
+}
+
+/// How a board moves in b: rotations are about the middle of the corners that b sees.
+pub(super) struct RelativeMotion {
+    /// When `b_from_a` moves.
+    pub(super) by_place: Matrix6<f64>,
+    /// When the board moves in a, about the middle of the corners that a sees.
+    pub(super) by_board: Matrix6<f64>,
+}
+
+impl RelativeMotion {
+    /// With the middle of the corners that each of a and b sees, in its own frame.
+    pub(super) fn of(b_from_a: &Pose, [in_a, in_b]: [&Vector3<f64>; 2]) -> Self {
+        let rotation = b_from_a.rotation_matrix();
+        let lever = in_b - b_from_a.translation();
+        let offset = lever - rotation * in_a;
+        let (mut by_place, mut by_board) = (Matrix6::identity(), Matrix6::zeros());
+        by_place.fixed_view_mut::<3, 3>(3, 0).copy_from(&-lever.cross_matrix());
+        by_board.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
+        by_board.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotation);
+        by_board.fixed_view_mut::<3, 3>(3, 0).copy_from(&(-offset.cross_matrix() * rotation));
+        Self { by_place, by_board }
     }
 }
 

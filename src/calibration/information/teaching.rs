@@ -129,6 +129,11 @@ impl Teaching {
         self.size
     }
 
+    /// Of which model its lens is to be.
+    pub fn choice(&self) -> LensChoice {
+        self.choice
+    }
+
     /// Which figure of the uncertainty is to fall.
     pub fn figure(&self) -> GoalFigure {
         self.goal.figure()

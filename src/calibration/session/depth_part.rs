@@ -1,15 +1,18 @@
 //! What one camera of an instrument has gathered of its depth in a session, and the view to ask for
 //! that teaches it.
 //!
-//! Depth counts once a view has it. A device whose infrared camera sees the board gets its depth's
-//! lens and place from there, as in the solve, and nothing is asked for on behalf of planes.
+//! Depth counts once a view has it. What the infrared camera that measures it sees of boards counts
+//! with it, as in the solve.
 
 use std::sync::Arc;
 
-use crate::calibration::information::depth_teaching::{DepthTeaching, DeviceDepth, MeasuredView};
+use crate::calibration::information::board_in_depth::BoardInDepth;
+use crate::calibration::information::depth_teaching::{DepthTeaching, DeviceDepth};
 use crate::calibration::information::next_depth_view::{NextDepthView, suggest_depth_view};
 use crate::calibration::information::next_view::SuggestedView;
 use crate::calibration::information::teaching::{TaughtView, Teaching};
+use crate::calibration::view::{FrameFacts, View, target_as_seen};
+use crate::detection::board_detection::Detection;
 use crate::geometry::lens::Lens;
 use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
@@ -25,26 +28,17 @@ pub struct DepthFrame {
     pub encoding: DepthEncoding,
     /// The lens that the device states, and where color is.
     pub factory: Option<(Lens, Pose)>,
-    /// Whether the infrared camera that measures depth sees the board too.
-    pub infrared_sees: bool,
+    /// The board in the image of the infrared camera that measures depth.
+    pub infrared: Option<Detection>,
 }
 
 /// A depth camera's part of a session.
 #[derive(Debug, Clone, Default)]
 pub(super) struct DepthPart {
     teaching: Option<DepthTeaching>,
-    /// Views in which infrared sees the board.
-    by_infrared: usize,
     next: Option<NextDepthView>,
     /// The view that teaches depth most is asked for.
     is_asked_for: bool,
-}
-
-/// What depth shows of a view that may be kept.
-#[derive(Debug, Clone, Default)]
-pub(super) struct SeenDepth {
-    measured: Option<MeasuredView>,
-    infrared_sees: bool,
 }
 
 /// Depth that fits no camera after so many views is left to the verdict: a session that waited for
@@ -53,8 +47,6 @@ const GIVEN_UP: usize = 10;
 /// Depth does not count from so many views on. It is a guard: of 31 seeded sessions, 15 of them begun
 /// with three frontal boards, none took more than 11 views with depth (docs/guidance.md).
 const MOST_MEASURED: usize = 40;
-/// The solve takes infrared from so many views on.
-const LEAST_INFRARED: usize = 3;
 
 impl DepthPart {
     /// What the depth image shows that was taken with `taught`.
@@ -62,46 +54,51 @@ impl DepthPart {
         &mut self,
         target: &Target,
         color: Option<&Teaching>,
-        (frame, taught): (Option<&DepthFrame>, Option<&TaughtView>),
-    ) -> SeenDepth {
+        (facts, frame, taught): (&FrameFacts, Option<&DepthFrame>, Option<&TaughtView>),
+    ) -> BoardInDepth {
         let (Some(color), Some(frame), Some(taught)) = (color, frame, taught) else {
-            return SeenDepth::default();
+            return BoardInDepth::default();
         };
         // Disparity of unknown meaning is left to the solve.
-        let Some(reading) = frame.encoding.reading else { return SeenDepth::default() };
+        let Some(reading) = frame.encoding.reading else { return BoardInDepth::default() };
         let teaching = self.teaching.get_or_insert_with(|| {
             let size = frame.image.size();
             let invalid = frame.encoding.invalid;
             let stated = DeviceDepth { size, reading, invalid, factory: frame.factory };
             DepthTeaching::new(target, color, &stated)
         });
-        let measured = teaching.measure(&frame.image, (color, taught));
-        SeenDepth { measured, infrared_sees: frame.infrared_sees }
+        let surface = teaching.measure(&frame.image, (color, taught));
+        // Corners that may be counted from either end of the board say nothing of where it is.
+        let is_placed = |seen: &&Detection| seen.position_known && !seen.orientation_ambiguous;
+        let infrared = frame.infrared.as_ref().filter(is_placed).and_then(|seen| {
+            let size = frame.image.size();
+            let facts = FrameFacts { image_size: size, ..facts.clone() };
+            let view = View { number: taught.number, frame: facts, detection: seen.clone() };
+            let target = target_as_seen(target, [&view]);
+            teaching.see((view.to_board_view(&target), seen.blur_px), (color, taught))
+        });
+        BoardInDepth { surface, infrared }
     }
 
     /// Whether a view is worth keeping for what it teaches of depth: at least `worth` of half of
     /// what the views with depth taught on average. The first ones are.
-    pub(super) fn is_taught(&self, taught: &TaughtView, seen: &SeenDepth, worth: f64) -> bool {
+    pub(super) fn is_taught(&self, taught: &TaughtView, seen: &BoardInDepth, worth: f64) -> bool {
         let Some(teaching) = self.counted() else { return false };
-        seen.measured.is_some()
-            && teaching.gain(taught, seen.measured.as_ref())
-                >= 0.5 * worth / teaching.measured().max(1) as f64
+        (seen.surface.is_some() || seen.infrared.is_some())
+            && teaching.gain(taught, seen) >= 0.5 * worth / teaching.measured().max(1) as f64
     }
 
     /// By how much a view lowers what is asked for, and by how much that view does; `None` unless
     /// it is asked for on behalf of depth.
-    pub(super) fn drop(&self, taught: &TaughtView, seen: &SeenDepth) -> Option<[f64; 2]> {
+    pub(super) fn drop(&self, taught: &TaughtView, seen: &BoardInDepth) -> Option<[f64; 2]> {
         let next = self.next.as_ref().filter(|_| self.is_asked_for)?;
-        Some([self.counted()?.drop(taught, seen.measured.as_ref()), next.drop])
+        Some([self.counted()?.drop(taught, seen), next.drop])
     }
 
     /// Takes in a kept view, which `color` has as its `number`-th.
-    pub(super) fn add(&mut self, number: u32, seen: SeenDepth, color: &Teaching) {
-        self.by_infrared += usize::from(seen.infrared_sees);
-        let Some(teaching) = &mut self.teaching else { return };
-        match seen.measured {
-            Some(measured) => teaching.add(measured.numbered(number), color),
-            None => teaching.sum_up(color),
+    pub(super) fn add(&mut self, number: u32, seen: BoardInDepth, color: &Teaching) {
+        if let Some(teaching) = &mut self.teaching {
+            teaching.add(number, seen, color);
         }
     }
 
@@ -156,12 +153,11 @@ impl DepthPart {
         asked.or(own)
     }
 
-    /// What views have taught of depth by planes, where that counts.
+    /// What views have taught of depth, where that counts.
     pub(super) fn counted(&self) -> Option<&DepthTeaching> {
         let teaching = self.teaching.as_ref()?;
         let is_fitted = teaching.uncertainty_px().is_some() || teaching.measured() < GIVEN_UP;
-        let by_planes = self.by_infrared < LEAST_INFRARED;
         let counts = (1..MOST_MEASURED).contains(&teaching.measured());
-        (counts && by_planes && is_fitted).then_some(teaching)
+        (counts && is_fitted).then_some(teaching)
     }
 }

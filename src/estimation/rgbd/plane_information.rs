@@ -9,9 +9,9 @@ use crate::estimation::joint::depth_terms::{
     PlaneObservation, add_planes, correction_columns, ray,
 };
 use crate::estimation::joint::normal::{LocalBlock, NormalEquations};
-use crate::estimation::joint::{Layout, SensorLayout, State, moved};
+use crate::estimation::joint::{FreeLens, Layout, SensorLayout, State, moved};
 use crate::estimation::rgbd::BASE_SMOOTHNESS;
-pub use crate::estimation::rgbd::device_prior::LENS_PARAMETERS;
+use crate::estimation::rgbd::device_prior::LENS_PARAMETERS;
 use crate::estimation::rgbd::planes::tile_inverse_std;
 use crate::estimation::rgbd::problem::free;
 use crate::geometry::depth_camera::{DepthReading, DepthTile};
@@ -20,19 +20,19 @@ use crate::geometry::lens::Lens;
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::{Pose, pose_step};
 
-/// The parameters of a depth camera that planes determine begin with those of its lens. The pose
-/// follows, as a step of `depth_from_color`: a rotation about depth's axes and a translation.
-pub const POSE_AT: usize = LENS_PARAMETERS;
-/// The coefficients of the correction come last.
-pub const CORRECTION_AT: usize = POSE_AT + 6;
 /// Beyond a scale and an offset a correction's form follows from all views together.
 const TERMS: usize = 2;
 
-/// A depth camera beside a color camera, as far as it is known.
+/// A depth camera beside a color camera, as far as it is known. Its parameters are the open ones of
+/// its lens, then a step of `depth_from_color` (a rotation about depth's axes and a translation),
+/// and the coefficients of the correction.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlacedDepth {
     /// Its lens.
     pub lens: Lens,
+    /// The open parameters of that, by their index in [`Lens::parameters`]: the focal lengths and
+    /// the principal point, which planes determine; all of them where infrared sees boards.
+    pub open: Vec<usize>,
     /// Where color is, seen from depth.
     pub depth_from_color: Pose,
     /// What its numbers mean.
@@ -69,12 +69,30 @@ impl PlacedDepth {
     ) -> Self {
         let quantity = CorrectedQuantity::InverseDepth;
         let correction = DepthCorrection::none(quantity, TERMS, SplineGrid::constant(size), seen_m);
-        Self { lens, depth_from_color, reading, correction }
+        let open = free(&lens, LENS_PARAMETERS).free;
+        Self { lens, open, depth_from_color, reading, correction }
+    }
+
+    /// The same with all of its lens open.
+    #[must_use]
+    pub fn with_open_lens(self) -> Self {
+        let open = free(&self.lens, self.lens.parameters().len()).free;
+        Self { open, ..self }
+    }
+
+    /// Where the step of the pose begins among its parameters.
+    pub fn pose_at(&self) -> usize {
+        self.open.len()
+    }
+
+    /// Where the coefficients of the correction do.
+    pub fn correction_at(&self) -> usize {
+        self.pose_at() + 6
     }
 
     /// How many parameters it has.
     pub fn parameters(&self) -> usize {
-        CORRECTION_AT + self.correction.coefficients.len()
+        self.correction_at() + self.correction.coefficients.len()
     }
 
     /// What the solve takes for known of the correction beforehand: the inverse of its covariance,
@@ -83,21 +101,22 @@ impl PlacedDepth {
         let prior = Prior::of(&self.correction, BASE_SMOOTHNESS).hessian;
         let count = self.parameters();
         let mut all = DMatrix::zeros(count, count);
-        all.view_mut((CORRECTION_AT, CORRECTION_AT), prior.shape()).copy_from(&prior);
+        let at = self.correction_at();
+        all.view_mut((at, at), prior.shape()).copy_from(&prior);
         all
     }
 
     /// The same after a step of its parameters; `None` where a lens parameter leaves the possible.
     pub fn stepped(&self, step: &DVector<f64>) -> Option<Self> {
         let mut parameters = self.lens.parameters();
-        (0..LENS_PARAMETERS).for_each(|k| parameters[k] += step[k]);
+        self.open.iter().enumerate().for_each(|(k, index)| parameters[*index] += step[k]);
         let possible = parameters[0] > 0.0 && parameters[1] > 0.0;
         let lens = Lens::from_parameters(self.lens.model(), &parameters).filter(|_| possible)?;
         let depth_from_color =
-            moved(&self.depth_from_color, &step.as_slice()[POSE_AT..CORRECTION_AT]);
+            moved(&self.depth_from_color, &step.as_slice()[self.pose_at()..self.correction_at()]);
         let mut correction = self.correction.clone();
         for (k, coefficient) in correction.coefficients.iter_mut().enumerate() {
-            *coefficient += step[CORRECTION_AT + k];
+            *coefficient += step[self.correction_at() + k];
         }
         Some(Self { lens, depth_from_color, correction, ..self.clone() })
     }
@@ -137,17 +156,18 @@ impl PlacedDepth {
         let inverse = by_xy.try_inverse()?;
         let in_depth = ray * z_m;
         let mut by_depth = DMatrix::zeros(3, self.parameters());
-        for k in 0..LENS_PARAMETERS {
-            let moved = inverse * projection.by_parameters.column(k) * -z_m;
+        for (k, index) in self.open.iter().enumerate() {
+            let moved = inverse * projection.by_parameters.column(*index) * -z_m;
             by_depth.fixed_view_mut::<2, 1>(0, k).copy_from(&moved);
         }
         // The pose moves color's points, and depth's point moves the other way in color.
+        let (pose_at, correction_at) = (self.pose_at(), self.correction_at());
         let lever = in_depth - self.depth_from_color.translation();
-        by_depth.fixed_view_mut::<3, 3>(0, POSE_AT).copy_from(&lever.cross_matrix());
-        by_depth.fixed_view_mut::<3, 3>(0, POSE_AT + 3).copy_from(&-Matrix3::identity());
+        by_depth.fixed_view_mut::<3, 3>(0, pose_at).copy_from(&lever.cross_matrix());
+        by_depth.fixed_view_mut::<3, 3>(0, pose_at + 3).copy_from(&-Matrix3::identity());
         correction_columns(&self.correction, &tile, |k, by_coefficient| {
             let moved = ray * (-z_m * z_m * by_coefficient);
-            by_depth.fixed_view_mut::<3, 1>(0, CORRECTION_AT + k).copy_from(&moved);
+            by_depth.fixed_view_mut::<3, 1>(0, correction_at + k).copy_from(&moved);
         });
         let color_from_depth = self.depth_from_color.inverse();
         let rotation = color_from_depth.rotation_matrix();
@@ -168,9 +188,9 @@ impl PlaneNormal {
     ) -> Option<Self> {
         let known = SensorLayout { lens: free(&depth.lens, 0), lens_at: 0, pose_at: None };
         let own = SensorLayout {
-            lens: free(&depth.lens, LENS_PARAMETERS),
+            lens: FreeLens { free: depth.open.clone(), ..known.lens.clone() },
             lens_at: 0,
-            pose_at: Some(POSE_AT),
+            pose_at: Some(depth.pose_at()),
         };
         let layout = Layout {
             sensors: vec![known, own],
@@ -197,7 +217,7 @@ impl PlaneNormal {
         let residuals = add_planes(
             &mut equations,
             (&layout, &state),
-            (&depth.correction, CORRECTION_AT),
+            (&depth.correction, depth.correction_at()),
             (&[plane], true),
         );
         equations.mirror();

@@ -33,7 +33,8 @@ impl BoardPart {
         depth: Option<&DepthFrame>,
     ) -> Taught {
         let taught = self.taught(frame, detection);
-        let seen = self.depth.seen(&self.target, self.teaching.as_ref(), (depth, taught.as_ref()));
+        let seen = (frame, depth, taught.as_ref());
+        let seen = self.depth.seen(&self.target, self.teaching.as_ref(), seen);
         (taught, seen)
     }
 

@@ -1,0 +1,46 @@
+//! What depth and infrared show of one view of a board.
+
+use crate::calibration::information::depth_fit::few;
+use crate::calibration::information::teaching::TaughtView;
+use crate::geometry::depth_camera::DepthTile;
+
+/// What depth and infrared show of one view.
+#[derive(Debug, Clone, Default)]
+pub struct BoardInDepth {
+    /// The board's surface; `None` where depth did not measure it.
+    pub surface: Option<MeasuredView>,
+    /// The corners that infrared sees; `None` where it sees no board.
+    pub infrared: Option<TaughtView>,
+}
+
+/// The board's surface in the depth image of one view.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MeasuredView {
+    /// Which of the session's views it is.
+    pub number: u32,
+    pub(super) tiles: Vec<DepthTile>,
+    /// Some of them, and for how many each stands.
+    pub(super) few: (Vec<DepthTile>, f64),
+    /// The distance of the surface, in meters.
+    pub(super) z_m: f64,
+}
+
+impl MeasuredView {
+    pub(super) fn new(number: u32, tiles: Vec<DepthTile>) -> Self {
+        let z_m = distance_m(&tiles);
+        let few = few(&tiles, &vec![true; tiles.len()]);
+        Self { number, tiles, few, z_m }
+    }
+
+    /// The same as the `number`-th view.
+    #[must_use]
+    pub fn numbered(self, number: u32) -> Self {
+        Self { number, ..self }
+    }
+}
+
+/// The distance of a surface, in meters.
+pub(super) fn distance_m(tiles: &[DepthTile]) -> f64 {
+    let sum = tiles.iter().map(|tile| tile.inverse_depth).sum::<f64>();
+    tiles.len() as f64 / sum.max(f64::MIN_POSITIVE)
+}
