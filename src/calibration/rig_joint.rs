@@ -10,7 +10,6 @@ use crate::calibration::solve::sensor_calibration;
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::consistent_labels::consistent_labels;
 use crate::estimation::error::EstimationError;
-use crate::estimation::interrupt::Interrupt;
 use crate::estimation::measured_board::MeasuredBoard;
 use crate::estimation::problem::LensChoice;
 use crate::estimation::rig::{RigProblem, RigSensor, SensorPlace, calibrate_rig};
@@ -39,11 +38,11 @@ impl Joint {
         );
         let labels = (board_from_labels.as_slice(), chosen.as_slice());
         if let Some(given) = &options.measured_board {
-            return Self::on_board(group, labels, (Some(given), &options.interrupt));
+            return Self::on_board(group, labels, (Some(given), options));
         }
-        let stated = Self::on_board(group, labels, (None, &options.interrupt));
+        let stated = Self::on_board(group, labels, (None, options));
         let Some(measured) = measured_by(group, labels) else { return stated };
-        match (stated, Self::on_board(group, labels, (Some(&measured), &options.interrupt))) {
+        match (stated, Self::on_board(group, labels, (Some(&measured), options))) {
             (Ok(stated), Ok(on_measured)) if stated.misfit() < on_measured.misfit() => Ok(stated),
             (stated, on_measured) => on_measured.or(stated),
         }
@@ -52,7 +51,7 @@ impl Joint {
     fn on_board(
         group: &[&Alone<'_>],
         (board_from_labels, chosen): (&[Pose], &[Vec<usize>]),
-        (board, interrupt): (Option<&MeasuredBoard>, &Interrupt),
+        (board, options): (Option<&MeasuredBoard>, &CameraOptions),
     ) -> Result<Self, EstimationError> {
         let sensor = |(one, chosen): (&&Alone<'_>, &Vec<usize>)| RigSensor {
             name: one.input.name.clone(),
@@ -64,11 +63,11 @@ impl Joint {
             options: CameraOptions {
                 measured_board: board.cloned(),
                 ..match &one.input.given {
-                    Some(lens) => CameraOptions::holding(lens, interrupt),
+                    Some(lens) => CameraOptions::holding(lens, &options.interrupt),
                     None => CameraOptions {
                         lens: LensChoice::Model(one.solved.sensor.lens.model()),
-                        interrupt: interrupt.clone(),
-                        ..CameraOptions::default()
+                        start: None,
+                        ..options.clone()
                     },
                 }
             },

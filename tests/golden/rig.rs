@@ -224,6 +224,42 @@ fn twisted(problem: &mut RigProblem, boards: &[Vec<Pose>], height_m: f64) {
     }
 }
 
+fn input_of(problem: &RigProblem) -> RigInput {
+    let sensor = |sensor: &RigSensor| RigSensorInput {
+        id: SensorId { camera: Some(sensor.name.clone()), kind: SensorKind::Color },
+        name: sensor.name.clone(),
+        image_size: sensor.image_size,
+        given: None,
+        views: sensor.views.clone(),
+    };
+    let board = Target::Chessboard(SeededCamera::ordinary().board);
+    RigInput { board, sensors: problem.sensors.iter().map(sensor).collect() }
+}
+
+/// In the joint solve as in that of each camera by itself.
+#[test]
+fn square_pixels_and_what_is_given_hold_in_a_rig() {
+    let (problem, _) = stereo(12, 430);
+    let options = CameraOptions {
+        lens: LensChoice::Model(LensModel::Brown),
+        square_pixels: true,
+        given: vec![("k3".to_owned(), 0.01)],
+        ..CameraOptions::default()
+    };
+    let solved = solve_rig(&input_of(&problem), &options).unwrap();
+    assert_eq!(solved.sensors.len(), 2);
+    for (_, sensor) in &solved.sensors {
+        let matrix = sensor.lens.matrix;
+        assert_eq!(matrix.fx, matrix.fy);
+        assert_eq!((sensor.lens.parameters()[9], sensor.lens_std[9]), (0.01, 0.0));
+        assert!(sensor.lens_std[0] > 0.0 && sensor.lens_std[0] == sensor.lens_std[1]);
+    }
+    // By themselves fx and fy differ.
+    let options = CameraOptions { lens: options.lens, ..CameraOptions::default() };
+    let solved = solve_rig(&input_of(&problem), &options).unwrap();
+    assert!(solved.sensors.iter().all(|(_, it)| it.lens.matrix.fx != it.lens.matrix.fy));
+}
+
 /// The board's shape is measured by both cameras and both are solved on it: lenses and pose as
 /// exact as stated, and far more exact than on the board as it was stated.
 #[test]
@@ -238,15 +274,7 @@ fn an_uneven_board_is_measured_by_the_whole_rig() {
         };
         let boards = [of_sensor(0, Pose::identity()), of_sensor(1, truth)];
         twisted(&mut problem, &boards, 0.002);
-        let sensor = |sensor: &RigSensor| RigSensorInput {
-            id: SensorId { camera: Some(sensor.name.clone()), kind: SensorKind::Color },
-            name: sensor.name.clone(),
-            image_size: sensor.image_size,
-            given: None,
-            views: sensor.views.clone(),
-        };
-        let board = Target::Chessboard(SeededCamera::ordinary().board);
-        let input = RigInput { board, sensors: problem.sensors.iter().map(sensor).collect() };
+        let input = input_of(&problem);
         let lens = LensChoice::Model(LensModel::Brown);
         let options = CameraOptions { lens, ..CameraOptions::default() };
         let solved = solve_rig(&input, &options).unwrap();
