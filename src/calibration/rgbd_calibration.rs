@@ -142,12 +142,12 @@ fn not_together(joint: &RgbdEstimate) -> String {
 /// what a Kinect's corrected depth is off in the mean of a view nearer than 1.5 m.
 const UNEVEN_FOR_DEPTH_M: f64 = 0.001;
 
-/// That depth is compared with the plane of a board which is none.
+/// That depth around a board is compared with the plane of one which is none.
 fn bent_for_depth(solved: &SolvedRgbd) -> Option<String> {
     let unevenness_m = solved.color.sensor.board_shape.as_ref()?.unevenness_m;
     (unevenness_m > UNEVEN_FOR_DEPTH_M).then(|| {
         format!(
-            "the board is bent or uneven by {:.1} mm (rms), and depth is compared with its plane: use one that is flat and stiff",
+            "the board is bent or uneven by {:.1} mm (rms), and depth around it is compared with its plane: use one that is flat and stiff",
             1e3 * unevenness_m
         )
     })

@@ -12,13 +12,14 @@ use crate::calibration::solve::SolvedCamera;
 use crate::detection::board_plane::{NoPlane, PlaneOptions, find_board_plane};
 use crate::detection::plane_growth::grow_plane;
 use crate::estimation::board_pose::board_poses;
+use crate::estimation::board_surface::BoardSurface;
 use crate::estimation::problem::{BoardView, CameraOptions, Correspondence};
 use crate::estimation::rgbd::motion::{
     BoardMotion, SeenByBoth, TimeOffset, board_motions, time_offset,
 };
 use crate::estimation::rgbd::{DepthLens, RgbdProblem, RgbdView};
 use crate::geometry::camera_matrix::CameraMatrix;
-use crate::geometry::depth_camera::{DepthCamera, DepthReading};
+use crate::geometry::depth_camera::{DepthCamera, DepthReading, DepthTile};
 use crate::geometry::depth_correction::CorrectedQuantity;
 use crate::geometry::lens::Lens;
 use crate::geometry::median::{median, median_pose};
@@ -57,6 +58,8 @@ pub(super) struct Guess {
     pub(super) depth_from_color: Pose,
     reading: DepthReading,
     size: ImageSize,
+    /// The board's, where color measured it.
+    surface: Option<BoardSurface>,
     /// Of every capture that has one.
     color_from_board: Vec<Option<Pose>>,
     infrared_used: Vec<bool>,
@@ -113,6 +116,7 @@ impl Guess {
             depth_from_color,
             reading: input.depth.reading.unwrap_or(DepthReading::Metric { unit_m: 0.001 }),
             size,
+            surface: color.sensor.board_shape.as_ref().and_then(BoardSurface::of),
             color_from_board,
             infrared_used: infrared_poses.iter().map(Option::is_some).collect(),
             motions: Vec::new(),
@@ -209,7 +213,7 @@ impl Guess {
                 let meaning = (self.reading, &self.lens);
                 let tiles = find_board_plane(image, meaning, &outline, &plane_options)?;
                 let surround = grow_plane(image, meaning, (&tiles, &outline), &plane_options);
-                Ok((tiles, surround))
+                Ok((self.on_plane(tiles, &color_from_board), surround))
             });
             let (tiles, surround) = match seen {
                 Some(Ok(seen)) => seen,
@@ -239,6 +243,14 @@ impl Guess {
             return Err(RgbdError::TooLittleDepth { usable, all, reasons });
         }
         Ok(Measured { problem: self.problem(views), captures, without_depth })
+    }
+
+    /// The board's `tiles` as they would be on its plane, which is what they are compared with.
+    fn on_plane(&self, tiles: Vec<DepthTile>, color_from_board: &Pose) -> Vec<DepthTile> {
+        let Some(surface) = &self.surface else { return tiles };
+        let depth_from_board = self.depth_from_color * *color_from_board;
+        let reduced = |tile| surface.on_plane(&self.lens, &depth_from_board, tile);
+        tiles.iter().filter_map(reduced).collect()
     }
 
     fn problem(&self, views: Vec<RgbdView>) -> RgbdProblem {

@@ -19,6 +19,7 @@
 //! | how an estimate that nobody waits for ends early | [`interrupt`] |
 
 pub mod board_pose;
+pub mod board_surface;
 pub mod camera;
 pub(crate) mod camera_estimate;
 pub(crate) mod camera_fit;

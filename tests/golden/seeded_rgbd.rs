@@ -36,6 +36,8 @@ pub struct SeededRgbd {
     pub plate_m: f64,
     /// How far the wall behind is, in meters.
     pub wall_m: f64,
+    /// How far the board is from its plane at (x, y) on it, all lengths in meters.
+    pub height_m: fn(f64, f64) -> f64,
 }
 
 impl SeededRgbd {
@@ -57,6 +59,7 @@ impl SeededRgbd {
             with_infrared: true,
             plate_m: 0.03,
             wall_m: 2.5,
+            height_m: |_, _| 0.0,
         }
     }
 
@@ -86,9 +89,9 @@ impl SeededRgbd {
                 name: format!("view {index}"),
                 time_s: None,
                 is_view: true,
-                color: corners(&self.color, pose, rng),
+                color: self.corners(&self.color, pose, rng),
                 infrared: if self.with_infrared {
-                    corners(&self.depth, &depth_from_board, rng)
+                    self.corners(&self.depth, &depth_from_board, rng)
                 } else {
                     Vec::new()
                 },
@@ -115,9 +118,9 @@ impl SeededRgbd {
             let depth_from_board = self.depth_from_color * *pose;
             RgbdView {
                 name: format!("view {index}"),
-                color: corners(&self.color, pose, rng),
+                color: self.corners(&self.color, pose, rng),
                 infrared: if self.with_infrared {
-                    corners(&self.depth, &depth_from_board, rng)
+                    self.corners(&self.depth, &depth_from_board, rng)
                 } else {
                     Vec::new()
                 },
@@ -163,9 +166,12 @@ impl SeededRgbd {
         };
         let middle = |k: u32| Point3::new(part(k % 12, 12, far.x), part(k / 12, 8, far.y), 0.0);
         let tile = |k: u32| {
-            let pixel = self.depth.lens.pixel_from_point(&(*depth_from_board * middle(k)))?;
+            let at = middle(k);
+            let up_m = (self.height_m)(at.x, at.y);
+            let at = at + Vector3::z() * up_m;
+            let pixel = self.depth.lens.pixel_from_point(&(*depth_from_board * at))?;
             let pixel = self.depth.size.contains(pixel).then_some(pixel)?;
-            let plane = normal.dot(&ray(&self.depth.lens, pixel)?) / height;
+            let plane = normal.dot(&ray(&self.depth.lens, pixel)?) / (height + up_m);
             Some(DepthTile {
                 pixel,
                 inverse_depth: self.error.measured(plane, pixel, self.depth.size)
@@ -192,8 +198,14 @@ impl SeededRgbd {
         let readings = (0..size.height * size.width).map(|k| {
             let pixel = Pixel::new(f64::from(k % size.width), f64::from(k / size.width));
             let Some(ray) = ray(&self.depth.lens, pixel) else { return 0 };
-            let plate = normal.dot(&ray) / height;
-            let at = board_from_depth * Point3::from(ray / plate);
+            let along = normal.dot(&ray);
+            let mut plate = along / height;
+            let mut at = board_from_depth * Point3::from(ray / plate);
+            // The surface under the ray, to a thousandth of its height.
+            for _ in 0..3 {
+                plate = along / (height + (self.height_m)(at.x, at.y));
+                at = board_from_depth * Point3::from(ray / plate);
+            }
             let reach = |along: f64, end: f64| along > -self.plate_m && along < end + self.plate_m;
             let on_plate = plate > 0.0 && reach(at.x, far.x) && reach(at.y, far.y);
             let inverse = if on_plate { plate } else { 1.0 / self.wall_m };
@@ -202,26 +214,31 @@ impl SeededRgbd {
         });
         DepthImage::new(size, readings.collect()).unwrap()
     }
+
+    /// The board's corners as `camera` sees them, with noise.
+    fn corners(
+        &self,
+        camera: &SeededCamera,
+        camera_from_board: &Pose,
+        rng: &mut ChaCha8Rng,
+    ) -> Vec<Correspondence> {
+        // A board that reaches out of the image is none.
+        if camera.exact(camera_from_board).is_none() {
+            return Vec::new();
+        }
+        let noise = Normal::new(0.0, 0.05).unwrap();
+        let seen = |point_in_board: Point3<f64>| {
+            let up = Vector3::z() * (self.height_m)(point_in_board.x, point_in_board.y);
+            let point = *camera_from_board * (point_in_board + up);
+            let exact = camera.lens.pixel_from_point(&point).unwrap();
+            let pixel = Pixel::new(exact.x + noise.sample(rng), exact.y + noise.sample(rng));
+            Correspondence { point_in_board, pixel, std_px: 0.05 }
+        };
+        camera.board.corners_in_board().into_iter().map(seen).collect()
+    }
 }
 
 fn ray(lens: &Lens, pixel: Pixel) -> Option<Vector3<f64>> {
     let bearing = lens.bearing_from_pixel(pixel)?;
     Some(bearing.into_inner() / bearing.z)
-}
-
-fn corners(
-    camera: &SeededCamera,
-    camera_from_board: &Pose,
-    rng: &mut ChaCha8Rng,
-) -> Vec<Correspondence> {
-    let noise = Normal::new(0.0, 0.05).unwrap();
-    let points = camera.board.corners_in_board();
-    // A board that reaches out of the image is none.
-    let Some(exact) = camera.exact(camera_from_board) else { return Vec::new() };
-    let each = points.into_iter().zip(exact).map(|(point_in_board, pixel)| Correspondence {
-        point_in_board,
-        pixel: Pixel::new(pixel.x + noise.sample(rng), pixel.y + noise.sample(rng)),
-        std_px: 0.05,
-    });
-    each.collect()
 }
