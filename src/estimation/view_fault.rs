@@ -41,7 +41,7 @@ pub enum ViewFault {
         "no pose explains its corners (rms {rms_px:.1} px): they are mislabeled, or it is another board"
     )]
     NoPose {
-        /// What is left at the best pose.
+        /// Its residuals at the best pose.
         rms_px: f64,
     },
     /// Most corners are far off.

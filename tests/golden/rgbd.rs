@@ -254,7 +254,7 @@ fn twisted(x: f64, y: f64) -> f64 {
     0.002 * (x / 0.12 - 1.0) * (y / 0.075 - 1.0)
 }
 
-/// What is left of depth's error at the near end, in the middle and at the far end of what was
+/// How far corrected depth is off at the near end, in the middle and at the far end of what was
 /// seen: its mean size over the image and six sets of sixteen views, in millimeters.
 fn left_mm(rig: &SeededRgbd, first_seed: u64) -> [f64; 3] {
     let mut left_mm = [0.0; 3];
