@@ -136,10 +136,10 @@ fn not_together(joint: &RgbdEstimate) -> String {
     )
 }
 
-/// A board that is uneven by more than this, in meters (rms), is no plane to compare depth with.
-/// Rendered boards that were bowed, of 0.4 to 2.2 mm rms, before a depth camera without an error: at
-/// the far end of what was seen corrected depth is off by 0.6 times that, so here by 0.6 mm, which is
-/// what a Kinect's corrected depth is off in the mean of a view nearer than 1.5 m.
+/// What lies around a board that is uneven by more than this, in meters (rms), is no part of its
+/// plane. Depth on the board is compared with its measured surface, and as exact as by a flat one;
+/// of seeded boards bowed by 0.7 mm rms on a wide flat table it is off by 2 mm at the far end of
+/// what was seen, of boards that nothing lies around not at all.
 const UNEVEN_FOR_DEPTH_M: f64 = 0.001;
 
 /// That depth around a board is compared with the plane of one which is none.
