@@ -64,9 +64,8 @@ fn as_part(whole: &LensFit) -> Option<LensFit> {
     let mut part = whole.clone();
     part.fit.bundle.prior.cropped = true;
     part.fit.state = part.fit.bundle.minimize(part.fit.state, FITTING);
-    let shared = part.covariance.shared;
-    part.covariance = lens_covariance(&part.fit.bundle, &part.fit.state)?;
-    part.covariance.shared *= shared;
+    let widened = part.covariance.widened;
+    part.covariance = lens_covariance(&part.fit.bundle, &part.fit.state, widened)?;
     Some(part)
 }
 

@@ -149,24 +149,15 @@ fn fit_model(
     state.lens = Lens::from_parameters(model, &parameters).ok_or(SceneRefusal::NoFit)?;
     let bundle = Bundle { free, ..start.bundle.clone() };
     let mut fit = fit_robustly(bundle, state, FITTING);
-    let alone = lens_covariance(&fit.bundle, &fit.state).ok_or(SceneRefusal::NoFit)?;
+    let alone = lens_covariance(&fit.bundle, &fit.state, 1.0).ok_or(SceneRefusal::NoFit)?;
     // Observations that err together say as little as fewer that do not: against the priors, and
     // between models, they count as much as they say.
-    let factor =
-        before_taken_up(alone.shared, fit.bundle.free_part(fit.state.cameras_from_scene.len()));
-    fit.bundle.rescaled(factor.sqrt());
+    let widened = alone.shared;
+    fit.bundle.rescaled(widened.sqrt());
     fit.state = fit.bundle.minimize(fit.state, FITTING);
-    let mut covariance = lens_covariance(&fit.bundle, &fit.state).ok_or(SceneRefusal::NoFit)?;
-    covariance.shared *= factor;
+    let covariance =
+        lens_covariance(&fit.bundle, &fit.state, widened).ok_or(SceneRefusal::NoFit)?;
     Ok(averaged_over_cropping(LensFit { fit, covariance, cropped: 0.0 }))
-}
-
-/// The factor on variances because observations err together, of what residuals show of it,
-/// `shared`: points and poses take up what the images of a point share, and a residual keeps the
-/// part `free` of it, on average. What clusters of residuals vary by beyond chance is the square of
-/// that part of what there is.
-fn before_taken_up(shared: f64, free: f64) -> f64 {
-    1.0 + (shared - 1.0) / (free * free)
 }
 
 /// Whether `model` is one of the family of Brown's polynomials.
@@ -191,17 +182,4 @@ fn first_guess(start: &Reconstruction, model: LensModel) -> Vec<f64> {
         *own = *first;
     }
     parameters
-}
-
-#[cfg(test)]
-mod tests {
-    use super::before_taken_up;
-
-    #[test]
-    fn what_points_take_up_is_given_back() {
-        assert_eq!(before_taken_up(1.0, 0.3), 1.0);
-        assert_eq!(before_taken_up(5.0, 1.0), 5.0);
-        // A residual keeps half of each error, a quarter of its square.
-        assert_eq!(before_taken_up(5.0, 0.5), 17.0);
-    }
 }

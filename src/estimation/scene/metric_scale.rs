@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Matrix2, Point3, Vector2};
 
-use crate::estimation::scene::covariance::scene_parts;
+use crate::estimation::scene::parts::scene_parts;
 use crate::geometry::median::median;
 
 /// One comparison of a measured depth with a reconstructed one.

@@ -14,11 +14,15 @@
 pub mod bundle;
 #[cfg(test)]
 mod bundle_tests;
+mod clusters;
 pub mod covariance;
+#[cfg(test)]
+mod covariance_tests;
 pub mod focal_by_image;
 pub mod hypotheses;
 pub mod lens_prior;
 pub mod metric_scale;
+mod parts;
 pub mod problem;
 pub mod reconstruction;
 pub mod resection;
