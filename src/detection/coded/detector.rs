@@ -1,13 +1,10 @@
 //! The whole search: lattices on each level of the image, until the markers of one are the
 //! target's.
 
-use std::ops::Range;
-
 use crate::detection::coded::answer::TargetDetection;
 use crate::detection::coded::chart::ChartPair;
-use crate::detection::coded::ends::by_sides;
 use crate::detection::coded::held_crossing::HeldCrossing;
-use crate::detection::coded::labels::{BestLabel, BoardLabel, BoardLabels, contradicted_around};
+use crate::detection::coded::labels::{BoardLabel, BoardLabels};
 use crate::detection::coded::last_target::LastTarget;
 use crate::detection::coded::lattice::{LARGEST_RADIUS, LatticeGrowth, LatticeScene};
 use crate::detection::coded::meeting_sides::MeetingSides;
@@ -49,11 +46,11 @@ pub struct TargetDetector {
     pub(super) open_squares: usize,
     /// Candidates in the order in which they are started from, and how far their squares reach.
     order: Vec<(usize, usize)>,
-    pairs: Vec<ChartPair>,
+    pub(super) pairs: Vec<ChartPair>,
     pub(super) growth: LatticeGrowth,
     pub(super) grid: Grid,
     pub(super) spare: Grid,
-    reading: MarkerReading,
+    pub(super) reading: MarkerReading,
     pub(super) held: Vec<HeldCrossing>,
     pub(super) guesses: Vec<GridCorner>,
     pub(super) refined: Vec<Option<RefinedCorner>>,
@@ -382,84 +379,6 @@ impl TargetDetector {
         }
     }
 
-    /// Reads the markers of `grid`, first as cells of the way in which the board was `expected`.
-    pub(super) fn label(
-        &mut self,
-        view: GrayView<'_>,
-        expected: Option<BoardLabel>,
-    ) -> BoardLabels {
-        let mut believed = BoardLabels::None;
-        for (inverted, ways) in self.readings(expected) {
-            let sheet = &self.sheets.ways[ways.start];
-            let in_bright = self.sheets.in_bright != inverted;
-            self.reading.read(view, (&self.sheets, sheet), &self.grid, in_bright);
-            for beyond in [0, self.thresholds.labels.most_beyond] {
-                let mut best = BestLabel::default();
-                for way in ways.clone() {
-                    let sheet = (&self.sheets, way);
-                    best.weigh(sheet, &self.grid, &self.reading, (inverted, beyond));
-                }
-                let labels = best.labels(&self.reading, &self.sheets);
-                believed = better(believed, self.by_ends(view, labels));
-                if matches!(believed, BoardLabels::One(_)) {
-                    break;
-                }
-            }
-            if let BoardLabels::One(label) = believed
-                && label.agreement > self.sheets.ways[label.way].certain()
-            {
-                break;
-            }
-        }
-        match believed {
-            BoardLabels::One(label) => {
-                self.contradicted(view, &label).map_or(believed, BoardLabels::Elsewhere)
-            }
-            _ => believed,
-        }
-    }
-
-    /// In which ways cells may be read: inverted or not, and the sheets, those together that differ
-    /// in their cells alone. The one of the `expected` label comes first.
-    fn readings(&self, expected: Option<BoardLabel>) -> Vec<(bool, Range<usize>)> {
-        let inversions: &[bool] = if self.sheets.alternates() { &[false] } else { &[false, true] };
-        let mut readings = Vec::with_capacity(4);
-        for &inverted in inversions {
-            let mut way = 0;
-            while way < self.sheets.ways.len() {
-                let inset = self.sheets.ways[way].inset;
-                let alike =
-                    self.sheets.ways[way..].iter().take_while(|other| other.inset == inset).count();
-                readings.push((inverted, way..way + alike));
-                way += alike;
-            }
-        }
-        let first = expected.and_then(|label| {
-            readings.iter().position(|(inverted, ways)| {
-                *inverted == label.inverted && ways.contains(&label.way)
-            })
-        });
-        readings[..first.map_or(0, |first| first + 1)].rotate_right(usize::from(first.is_some()));
-        readings
-    }
-
-    /// How many of the cells around the lattice contradict `label`.
-    fn contradicted(&mut self, view: GrayView<'_>, label: &BoardLabel) -> Option<usize> {
-        let sheet = &self.sheets.ways[label.way];
-        let in_bright = self.sheets.in_bright != label.inverted;
-        self.reading.read_around(view, (&self.sheets, sheet), &self.grid, in_bright);
-        contradicted_around(sheet, &self.reading, label)
-    }
-
-    /// Of two places alike the one whose ends are seen.
-    fn by_ends(&mut self, view: GrayView<'_>, labels: BoardLabels) -> BoardLabels {
-        let BoardLabels::Two(first, second) = labels else { return labels };
-        let sheet = (&self.sheets, &self.thresholds.labels);
-        let both = [first, second];
-        by_sides(view, sheet, &self.grid, both, &mut self.pairs)
-            .map_or(labels, |seen| BoardLabels::One(both[seen]))
-    }
-
     /// Searches for those corners of the labeled board that growing did not reach, and forgets
     /// what lies beyond it.
     pub(super) fn complete(&mut self, view: GrayView<'_>, label: BoardLabel) {
@@ -515,19 +434,5 @@ impl TargetDetector {
                 self.grid.set(i, j, Node { pixel, ..node });
             }
         }
-    }
-}
-
-/// The more certain of two.
-fn better(one: BoardLabels, other: BoardLabels) -> BoardLabels {
-    match (one, other) {
-        (BoardLabels::One(a), BoardLabels::One(b)) if b.significance > a.significance => other,
-        (BoardLabels::One(_), _) => one,
-        (_, BoardLabels::One(_)) => other,
-        (BoardLabels::Two(..), _) => one,
-        (_, BoardLabels::Two(..)) => other,
-        (BoardLabels::Elsewhere(a), BoardLabels::Elsewhere(b)) => BoardLabels::Elsewhere(a.max(b)),
-        (BoardLabels::Elsewhere(_), _) => one,
-        _ => other,
     }
 }

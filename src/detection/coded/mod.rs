@@ -33,6 +33,7 @@ mod ends;
 mod finish;
 mod held_crossing;
 mod homography_equations;
+mod labeling;
 mod labels;
 mod last_target;
 mod lattice;

@@ -119,6 +119,10 @@ impl Cluster {
 /// leaving one out.
 const LEAST_OTHERS: f64 = 0.1;
 
+/// Degrees of freedom that few clusters are taken for at least: with fewer, Student's t has no
+/// variance.
+const LEAST_FREEDOM: f64 = 3.0;
+
 /// What clusters show.
 struct ClusterSpread {
     covariance: DMatrix<f64>,
@@ -148,7 +152,7 @@ fn clustered(clusters: &[Cluster], observed: &DMatrix<f64>) -> Option<ClusterSpr
     let own = freedom / (freedom + lens as f64);
     let covariance =
         seen * (own * over_expected * observed.trace()) + observed * (mean * (1.0 - own));
-    let of_t = |freedom: f64| freedom / (freedom - 2.0).max(1.0);
+    let of_t = |freedom: f64| freedom.max(LEAST_FREEDOM) / (freedom.max(LEAST_FREEDOM) - 2.0);
     let wider = own * of_t(freedom) + (1.0 - own) * of_t(freedom * lens as f64);
     let is_finite = covariance.iter().all(|value| value.is_finite());
     is_finite.then_some(ClusterSpread { covariance, wider })
