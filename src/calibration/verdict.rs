@@ -211,9 +211,15 @@ fn too_simple_lens(estimate: &CameraEstimate, check: &ModelCheck) -> Option<(Gra
         px.map_or("more than can be computed".to_owned(), |px| format!("{px:.3} px"))
     };
     let (own_px, larger_px) = (off(own_px), off(larger_px));
-    let mut reason = format!(
-        "the lens model {own} is too simple for this lens: {model} is off by {larger_px} on held-out views, {own} by {own_px}, and {model} would give fx {fx:.1}: let the model be chosen (auto), or use {model}"
-    );
+    let mut reason = if estimate.compared.is_empty() {
+        format!(
+            "the lens model {own} is too simple for this lens: {model} is off by {larger_px} on held-out views, {own} by {own_px}, and {model} would give fx {fx:.1}: let the model be chosen (auto), or use {model}"
+        )
+    } else {
+        format!(
+            "the views do not decide the lens model: {own} was chosen, which is off by {own_px} on held-out views, but {model} by {larger_px}, and it would give fx {fx:.1}: add views near the edges of the image, tilted"
+        )
+    };
     if widening > NOTABLE_WIDENING {
         reason += &format!("; uncertainties are {widening:.1} times as large for it");
     }

@@ -8,7 +8,7 @@ use crate::estimation::clustered_covariance::FitCovariance;
 use crate::estimation::effects::apply::with_effects;
 use crate::estimation::error::EstimationError;
 use crate::estimation::jackknife::with_jackknife;
-use crate::estimation::lens_choice;
+use crate::estimation::lens_choice::{ChosenLens, choose_lens};
 use crate::estimation::lens_misfit::LensMisfit;
 use crate::estimation::model_check::ModelCheck;
 use crate::estimation::model_error::{noise_floor_px_of, with_noise_floor};
@@ -110,10 +110,15 @@ fn solve_weighted(
         prepared.place_on(board)?;
     }
     let (fit, compared) = match options.lens {
-        LensChoice::Model(model) => (fit_camera(&mut prepared, model, options)?, Vec::new()),
-        LensChoice::Auto => lens_choice::choose_lens(&mut prepared, options)?,
+        LensChoice::Model(model) => {
+            let plain = fit_camera(&mut prepared, model, options)?;
+            (with_effects(plain, problem.image_size, options), Vec::new())
+        }
+        LensChoice::Auto => {
+            let ChosenLens { full, compared, .. } = choose_lens(&mut prepared, options)?;
+            (full, compared)
+        }
     };
-    let fit = with_effects(fit, problem.image_size, options);
     Ok((
         CameraEstimate {
             noise_floor_px,

@@ -1,6 +1,6 @@
-//! Whether a lens model that was asked for is too simple for the lens. Its own residuals show that
-//! poorly: the board's shape and the poses take up what the lens leaves, and the focal length goes
-//! along.
+//! Whether a lens model is too simple for the lens. Its own residuals show that poorly: the board's
+//! shape and the poses take up what the lens leaves, and the focal length goes along. A model that
+//! was chosen is asked too: the choice takes a larger one only if it is better beyond chance.
 
 use crate::estimation::camera_estimate::CameraEstimate;
 use crate::estimation::camera_fit::{CameraFit, fit_camera};
@@ -9,38 +9,38 @@ use crate::estimation::joint::BoardObservation;
 use crate::estimation::lens_choice::{COLUMNS, Trial, compared_views, may_be_worth_more};
 use crate::estimation::lens_pole::has_pole;
 use crate::estimation::lens_score::could_fit_better;
-use crate::estimation::problem::{CameraOptions, CameraProblem, LensChoice};
+use crate::estimation::problem::{CameraOptions, CameraProblem};
 use crate::estimation::start::Prepared;
 use crate::estimation::uncertainty::{
     Distance, PixelGrid, projection_difference, projection_uncertainty,
 };
 use crate::geometry::lens::{Lens, LensModel};
 
-/// A larger lens model that predicts views better than the one that was asked for.
+/// A larger lens model that predicts views better than the one that was asked for or chosen.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LensMisfit {
     /// The larger model.
     pub model: LensModel,
-    /// The error of the model asked for and of the larger one on views they were not fitted to, in
+    /// The error of the model in use and of the larger one on views they were not fitted to, in
     /// pixels; `None` where it cannot predict them.
     pub held_out_rms_px: [Option<f64>; 2],
     /// The focal length that the larger model has, in pixels.
     pub fx: f64,
-    /// How many times as uncertain the lens asked for is when its difference from the larger one
+    /// How many times as uncertain the lens in use is when its difference from the larger one
     /// counts as an error.
     pub widening: f64,
 }
 
 impl LensMisfit {
-    /// Compares the lens model of `estimate`, which was asked for, with the larger ones that an
-    /// automatic choice compares; `None` where none of them is worth more
+    /// Compares the lens model of `estimate`, which was asked for or chosen, with the larger ones that
+    /// an automatic choice compares; `None` where none of them predicts views better
     /// ([`crate::estimation::lens_choice`]).
     pub(crate) fn of(
         problem: &CameraProblem,
         options: &CameraOptions,
         (estimate, fit): (&CameraEstimate, &CameraFit),
     ) -> Option<Self> {
-        let LensChoice::Model(stated) = options.lens else { return None };
+        let stated = estimate.lens.model();
         let place = stated.facts().auto_place?;
         let mut prepared = Prepared::of(problem);
         if let Some(board) = &options.measured_board {
@@ -69,12 +69,12 @@ impl LensMisfit {
         let trial = |fit| Trial::of(fit, observations, &views, grid);
         // A model may be so far off that it predicts some view not at all.
         let of_own = trial(&own);
-        let held_out_px = |trial: &Trial<'_>| trial.rms_px(observations, &views);
+        let held_out_px = |trial: &Trial<'_>| trial.rms_px(observations);
         let may_be =
             |larger: &&CameraFit| of_own.is_none() || may_be_worth_more(larger, own.lens(), grid);
         let trials = larger.iter().filter(may_be).filter_map(trial);
-        let better =
-            trials.filter(|larger| of_own.as_ref().is_none_or(|own| larger.is_worth_more(own)));
+        let better = trials
+            .filter(|larger| of_own.as_ref().is_none_or(|own| larger.predicts_better_than(own)));
         let best = better.min_by(|a, b| held_out_px(a).total_cmp(&held_out_px(b)))?;
         let plain_px = [of_own.as_ref().map(held_out_px), Some(held_out_px(&best))];
         let full = with_effects(best.fit.clone(), problem.image_size, options);
@@ -101,8 +101,8 @@ fn beyond_effects(
     views.retain(|view| of_own[*view].used.contains(&true));
     let own = Trial::of(own, &of_own, &views, grid)?;
     let larger = Trial::of(larger, &of_larger, &views, grid)?;
-    let held_out_px = [own.rms_px(&of_own, &views), larger.rms_px(&of_larger, &views)];
-    larger.is_worth_more(&own).then_some(held_out_px.map(Some))
+    let held_out_px = [own.rms_px(&of_own), larger.rms_px(&of_larger)];
+    larger.predicts_better_than(&own).then_some(held_out_px.map(Some))
 }
 
 /// The observations of two fits of the same views, with the corners that both of them use.

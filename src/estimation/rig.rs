@@ -85,7 +85,7 @@ pub fn calibrate_rig(problem: &RigProblem) -> Result<RigEstimate, EstimationErro
         }
         let fit = match sensor.options.lens {
             LensChoice::Model(model) => fit_camera(&mut prepared, model, &sensor.options)?,
-            LensChoice::Auto => choose_lens(&mut prepared, &sensor.options)?.0,
+            LensChoice::Auto => choose_lens(&mut prepared, &sensor.options)?.plain,
         };
         alone.push((prepared, fit));
     }

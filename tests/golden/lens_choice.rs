@@ -1,15 +1,18 @@
 //! `auto` finds the model that made the images, and none with more parameters than they show.
 
+use nalgebra::Vector3;
 use plumb::estimation::camera::{
     CameraEstimate, CameraOptions, calibrate_camera, calibrate_with_jackknife,
 };
-use plumb::estimation::problem::LensChoice;
+use plumb::estimation::problem::{CameraProblem, LensChoice};
 use plumb::estimation::uncertainty::{
     Distance, PixelGrid, projection_difference, projection_uncertainty,
 };
 use plumb::geometry::lens::{Lens, LensModel};
 use plumb::geometry::pixel::ImageSize;
+use rand_distr::{Distribution, Normal};
 
+use crate::misfit::rolling;
 use crate::seeded_camera::SeededCamera;
 
 #[test]
@@ -77,6 +80,55 @@ fn auto_errs_no_more_than_it_says_and_takes_no_parameter_that_the_lens_lacks() {
             let sigmas = worst_error_in_sigmas(&camera.lens, &estimate);
             assert!(sigmas < 4.0, "{sigmas} sigma: {case}");
         }
+    }
+}
+
+/// Views of a board that is bowed by a millimeter and printed a tenth of one off.
+fn uneven(camera: &SeededCamera, views: usize, seed: u64) -> CameraProblem {
+    let mut rng = SeededCamera::rng(seed);
+    let poses = camera.poses(views, &mut rng);
+    let mut problem = camera.problem(&poses, &mut rng);
+    let own = Normal::new(0.0, 1e-4).unwrap();
+    let corners = problem.views[0].correspondences.iter().map(|seen| seen.point_in_board);
+    let offsets: Vec<Vector3<f64>> = corners
+        .map(|corner| {
+            let [x, y] = [corner.x / 0.24, corner.y / 0.15];
+            let height = 1e-3 * ((3.0 * x).sin() + x * y - y * y);
+            Vector3::new(own.sample(&mut rng), own.sample(&mut rng), height)
+        })
+        .collect();
+    for (view, pose) in problem.views.iter_mut().zip(&poses) {
+        for (seen, offset) in view.correspondences.iter_mut().zip(&offsets) {
+            let of = |point| camera.lens.pixel_from_point(&(*pose * point)).unwrap();
+            let [flat, there] = [of(seen.point_in_board), of(seen.point_in_board + offset)];
+            seen.pixel.x += there.x - flat.x;
+            seen.pixel.y += there.y - flat.y;
+        }
+    }
+    problem
+}
+
+#[test]
+fn neither_an_uneven_board_nor_a_rolling_shutter_makes_auto_take_another_lens() {
+    let precise = |camera| SeededCamera { noise_px: 0.02, ..camera };
+    let cameras = [SeededCamera::ordinary(), SeededCamera::wide(), SeededCamera::fisheye()];
+    let mut cases = Vec::new();
+    for camera in cameras.map(precise) {
+        for (views, seed) in [(12, 0), (20, 1), (30, 2)] {
+            let problem = uneven(&camera, views, 6300 + seed);
+            cases.push((format!("uneven, {views} views"), camera.clone(), problem));
+        }
+    }
+    for (views, seed) in [(12, 3), (20, 4)] {
+        let (camera, problem) = rolling(views, 6300 + seed, (3e-3, 0.01));
+        cases.push((format!("rolling, {views} views"), camera, problem));
+    }
+    for (case, camera, problem) in cases {
+        let estimate = calibrate_camera(&problem, &CameraOptions::default()).unwrap();
+        let case = format!("{}, {case}: {:?}", camera.lens.model(), estimate.compared);
+        assert_eq!(estimate.lens.model(), camera.lens.model(), "{case}");
+        let sigmas = worst_error_in_sigmas(&camera.lens, &estimate);
+        assert!(sigmas < 4.0, "{sigmas} sigma: {case}");
     }
 }
 

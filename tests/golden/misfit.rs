@@ -24,7 +24,7 @@ fn says(solved: &SolvedCamera, word: &str) -> bool {
 
 /// A camera that reads its rows one after another while the board moves at random, each view
 /// otherwise: per image's height by `translation_m` along each axis and `rotation` about each.
-fn rolling(
+pub fn rolling(
     views: usize,
     seed: u64,
     (translation_m, rotation): (f64, f64),

@@ -47,6 +47,16 @@ fn problem() -> Option<CameraProblem> {
 }
 
 #[test]
+fn a_lens_model_that_is_chosen_states_at_least_its_error() {
+    let Some(problem) = problem() else { return };
+    let solved = solve_views(&problem, &CameraOptions::default()).unwrap();
+    let off = (solved.estimate.lens.matrix.fx - PUBLISHED_FX).abs();
+    let std = solved.estimate.lens_covariance[(0, 0)].sqrt();
+    let case = format!("{}: {:?}", solved.estimate.lens.model(), solved.verdict.reasons);
+    assert!(off <= std, "fx is {off:.2} px off, {std:.2} px stated: {case}");
+}
+
+#[test]
 fn a_lens_model_that_is_too_simple_states_at_least_its_error() {
     let Some(problem) = problem() else { return };
     for model in [LensModel::Brown, LensModel::KannalaBrandt] {

@@ -4,6 +4,7 @@ use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::effects::effect::Wanted;
 use crate::estimation::effects::effects_fit::EffectsFit;
 use crate::estimation::effects::fit::{Corners, Effects, fit_effects};
+use crate::estimation::effects::hints::plausible;
 use crate::estimation::joint::minimize::{Minimum, Stop};
 use crate::estimation::problem::{BoardShape, CameraOptions, Shutter};
 use crate::estimation::robust::Loss;
@@ -12,15 +13,7 @@ use crate::geometry::pixel::ImageSize;
 /// A fit of one camera carried on with what the views show of the board's shape and motion; as it
 /// was where they show none.
 pub(crate) fn with_effects(fit: CameraFit, size: ImageSize, options: &CameraOptions) -> CameraFit {
-    let wanted = Wanted {
-        shape: options.board_shape != BoardShape::Flat && options.measured_board.is_none(),
-        motion: options.shutter != Shutter::Global,
-        shape_for_certain: options.board_shape == BoardShape::Free,
-        motion_for_certain: options.shutter == Shutter::Rolling,
-    };
-    if fit.is_exact() || fit.layout.sensors.len() > 1 || !(wanted.shape || wanted.motion) {
-        return fit;
-    }
+    let Some(wanted) = wanted(&fit, options) else { return fit };
     let Some(Effects { found, shutter_doubt }) =
         fit_effects(&fit, [size.width, size.height].map(f64::from), wanted)
     else {
@@ -28,6 +21,25 @@ pub(crate) fn with_effects(fit: CameraFit, size: ImageSize, options: &CameraOpti
     };
     let with = found.and_then(|found| carried_on(&fit, size, found));
     CameraFit { shutter_doubt, ..with.unwrap_or(fit) }
+}
+
+/// Whether the residuals of a plain fit of one camera hint at effects that [`with_effects`] looks
+/// for.
+pub(crate) fn may_have_effects(fit: &CameraFit, size: ImageSize, options: &CameraOptions) -> bool {
+    let size = [size.width, size.height].map(f64::from);
+    wanted(fit, options).and_then(|wanted| plausible(fit, size, wanted)).is_some()
+}
+
+/// The effects that are asked for; `None` where there are none, or the fit can have none.
+fn wanted(fit: &CameraFit, options: &CameraOptions) -> Option<Wanted> {
+    let wanted = Wanted {
+        shape: options.board_shape != BoardShape::Flat && options.measured_board.is_none(),
+        motion: options.shutter != Shutter::Global,
+        shape_for_certain: options.board_shape == BoardShape::Free,
+        motion_for_certain: options.shutter == Shutter::Rolling,
+    };
+    let can_have = !fit.is_exact() && fit.layout.sensors.len() == 1;
+    (can_have && (wanted.shape || wanted.motion)).then_some(wanted)
 }
 
 fn carried_on(

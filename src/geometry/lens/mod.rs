@@ -217,6 +217,13 @@ impl LensModel {
         Self::ALL.into_iter().filter(|model| model.facts().auto_place.is_some())
     }
 
+    /// Whether each lens of `smaller` is one of this model too, with some coefficients 0.
+    pub fn holds(self, smaller: Self) -> bool {
+        let polynomial = |model| Distortion::start(model).as_rational().is_some();
+        let count = |model: Self| model.coefficient_names().len();
+        self == smaller || polynomial(self) && polynomial(smaller) && count(smaller) < count(self)
+    }
+
     /// The model that messages about cameras call `distortion_model`: of those that share a name,
     /// the one that has all its coefficients.
     pub fn from_camera_info(distortion_model: &str) -> Option<Self> {
