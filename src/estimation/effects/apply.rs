@@ -23,7 +23,7 @@ pub(crate) fn with_effects(fit: CameraFit, size: ImageSize, options: &CameraOpti
     CameraFit { shutter_doubt, ..with.unwrap_or(fit) }
 }
 
-/// Whether the residuals of a plain fit of one camera hint at effects that [`with_effects`] looks
+/// Whether the residuals of a plain fit of one camera hint at effects that [`with_effects`] searches
 /// for.
 pub(crate) fn may_have_effects(fit: &CameraFit, size: ImageSize, options: &CameraOptions) -> bool {
     let size = [size.width, size.height].map(f64::from);
