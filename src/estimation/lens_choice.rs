@@ -4,8 +4,8 @@
 //! in the image by more than its own uncertainty there. The second condition is needed because a
 //! smaller error on a few views is chance one time in six, and because held-out views say nothing
 //! of image corners that no view reached, where badly determined parameters do most harm. Of models
-//! of which neither holds the other, projections differ beyond the views in any case: the larger must
-//! be better beyond chance.
+//! of which neither holds the other, projections differ beyond the views in any case: the larger
+//! must be better beyond chance.
 
 use nalgebra::DMatrix;
 
@@ -50,14 +50,14 @@ const HELD_OUT: f64 = 1.0;
 const MOVED: f64 = 2.5;
 
 /// As [`HELD_OUT`], of two models of which neither holds the other: their projections always differ
-/// beyond the views, so that only held-out views decide. Chosen for one chance in forty and not swept:
-/// with it 271 of 288 simulated worlds that were run once were given the true model.
+/// beyond the views, so that only held-out views decide. Chosen for one chance in forty and not
+/// swept: with it 271 of 288 simulated worlds that were run once were given the true model.
 const BETTER_BEYOND_CHANCE: f64 = 2.0;
 
 /// A model whose error on held-out views is this many times that of the best, each with lens and
-/// poses alone, is not the lens's, whatever the board's shape and motion are: a larger lens takes up
-/// a part of them at most. In 288 simulated worlds the true model's error was up to 1.5 times that of
-/// the best: this is twice as much.
+/// poses alone, is not the lens's, whatever the board's shape and motion are: a larger lens takes
+/// up a part of them at most. In 288 simulated worlds the true model's error was up to 1.5 times
+/// that of the best: this is twice as much.
 const HOPELESS: f64 = 3.0;
 
 /// Projections that move this far decide even where views are too few for [`HELD_OUT`] to say more
@@ -89,8 +89,8 @@ pub(crate) struct ChosenLens {
 
 /// Fits every model and chooses one. Where the views show more than lens and poses, models are
 /// compared each with the board's shape and the motion that it finds: without, a larger lens is
-/// better because it takes them up (of 96 simulated worlds with an uneven board 50 were given another
-/// lens than the true one, and errors of up to 4,000 times).
+/// better because it takes them up (of 96 simulated worlds with an uneven board 50 were given
+/// another lens than the true one, and errors of up to 4,000 times).
 pub(crate) fn choose_lens(
     prepared: &mut Prepared,
     options: &CameraOptions,
