@@ -81,6 +81,10 @@ fn solve(
     solved
 }
 
+/// Weights that are nearer to equal bring the rms down: a second solve whose rms is this many times
+/// that of the first ended in another minimum.
+const ANOTHER_MINIMUM: f64 = 1.5;
+
 /// Solves again with the noise floor that the first solve shows.
 fn solve_twice(
     problem: &CameraProblem,
@@ -94,7 +98,16 @@ fn solve_twice(
     let model = LensChoice::Model(first.lens.model());
     let again = CameraOptions { lens: model, start: Some(first.to_start()), ..options.clone() };
     match solve_weighted((problem, noise_floor_px), &again) {
-        Ok((estimate, fit)) => Ok((CameraEstimate { compared: first.compared, ..estimate }, fit)),
+        Ok((estimate, _)) if estimate.rms_px > ANOTHER_MINIMUM * first.rms_px => {
+            Ok((first, first_fit))
+        }
+        Ok((mut estimate, mut fit)) => {
+            if let Some(between_models) = first_fit.between_models {
+                estimate.lens_covariance += &between_models;
+                fit.between_models = Some(between_models);
+            }
+            Ok((CameraEstimate { compared: first.compared, ..estimate }, fit))
+        }
         Err(_) => Ok((first, first_fit)),
     }
 }

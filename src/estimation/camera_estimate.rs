@@ -146,6 +146,9 @@ pub(crate) fn assemble(
         // How views differ has the shutter's part in it.
         lens_covariance += doubt * doubt.transpose() * (1.0 - of_lens.weight);
     }
+    if let Some(between_models) = &fit.between_models {
+        lens_covariance += between_models;
+    }
     let of_lens = unit.view((at.lens_at, at.lens_at), (free, free));
     for axis in [0, 1] {
         // Exact corners must not make a lens known that a hundredth of a pixel would leave open.

@@ -1,6 +1,6 @@
 //! One lens model fitted to the views of one camera, and which views were used.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Point3};
 
 use crate::estimation::effects::effects_fit::EffectsFit;
 use crate::estimation::error::EstimationError;
@@ -26,7 +26,13 @@ pub(crate) struct CameraFit {
     /// Where a rolling shutter is likely but not shown: by how much the lens's parameters would be
     /// others with it, times the root of how likely it is.
     pub(crate) shutter_doubt: Option<DVector<f64>>,
+    /// Where its lens model was chosen: what others would give, each as likely as it is
+    /// ([`crate::estimation::model_averaging`]). Of all parameters of the lens.
+    pub(crate) between_models: Option<DMatrix<f64>>,
 }
+
+/// Points that a nearest lens is found by, at most.
+const MAX_POINTS: usize = 600;
 
 /// Views used to compare views with each other, at most: with this many, differences are visible.
 const MAX_VIEWS: usize = 60;
@@ -38,7 +44,15 @@ impl CameraFit {
         observations: Vec<BoardObservation>,
         faults: Vec<Option<ViewFault>>,
     ) -> Self {
-        Self { layout, robust, observations, faults, effects: None, shutter_doubt: None }
+        Self {
+            layout,
+            robust,
+            observations,
+            faults,
+            effects: None,
+            shutter_doubt: None,
+            between_models: None,
+        }
     }
 
     pub(crate) fn lens(&self) -> &Lens {
@@ -87,6 +101,20 @@ impl CameraFit {
     /// Good views, or enough of them, evenly.
     pub(crate) fn some_views(&self) -> Vec<usize> {
         self.some_frame_sets().into_iter().flatten().collect()
+    }
+
+    /// The corners in use of one camera, or enough of them, in the camera's frame.
+    pub(crate) fn some_points_in_camera(&self) -> Vec<Point3<f64>> {
+        let state = &self.robust.minimum.state;
+        let of_view = |view: usize| {
+            let observation = &self.observations[view];
+            let pose = state.rig_from_board[observation.frame_set];
+            let used = observation.points.iter().zip(&observation.used).filter(|(_, used)| **used);
+            used.map(move |(point, _)| pose * *point)
+        };
+        let points: Vec<Point3<f64>> = self.good_views().into_iter().flat_map(of_view).collect();
+        let step = points.len().div_ceil(MAX_POINTS).max(1);
+        points.into_iter().step_by(step).collect()
     }
 
     /// The good observations of each frame set, by index: of all frame sets that have any, or of

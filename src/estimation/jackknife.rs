@@ -9,7 +9,8 @@ use nalgebra::{DMatrix, DVector};
 use crate::estimation::camera_estimate::CameraEstimate;
 use crate::estimation::camera_fit::{CameraFit, fit_camera};
 use crate::estimation::clustered_covariance::FitCovariance;
-use crate::estimation::effects::apply::with_effects;
+use crate::estimation::effects::apply::with_effects_from;
+use crate::estimation::effects::effects_fit::EffectsFit;
 use crate::estimation::problem::{
     BoardView, CameraOptions, CameraProblem, CameraStart, LensChoice,
 };
@@ -32,9 +33,13 @@ pub(crate) fn with_jackknife(
         return estimate;
     }
     let weight = weight_of_views(fit).unwrap_or(0.0);
-    let Some(by_solves) = jackknife(problem, options, &estimate) else { return estimate };
+    let Some(by_solves) = jackknife(problem, options, (&estimate, fit)) else { return estimate };
     // What is not to do with views stays: where they hardly differ, so do the solves by chance.
-    let lens_covariance = &estimate.lens_covariance * (1.0 - weight) + by_solves * weight;
+    let mut lens_covariance = &estimate.lens_covariance * (1.0 - weight) + by_solves * weight;
+    if let Some(between_models) = &fit.between_models {
+        // The solves keep the model.
+        lens_covariance += between_models * weight;
+    }
     CameraEstimate { lens_covariance, ..estimate }
 }
 
@@ -50,7 +55,7 @@ fn weight_of_views(fit: &CameraFit) -> Option<f64> {
 fn jackknife(
     problem: &CameraProblem,
     options: &CameraOptions,
-    estimate: &CameraEstimate,
+    (estimate, fit): (&CameraEstimate, &CameraFit),
 ) -> Option<DMatrix<f64>> {
     let good: Vec<usize> =
         (0..problem.views.len()).filter(|view| estimate.views[*view].fault.is_none()).collect();
@@ -58,7 +63,7 @@ fn jackknife(
     let without = |group: usize| {
         let kept = good.iter().enumerate().filter(|(k, _)| k % groups != group);
         let kept: Vec<usize> = kept.map(|(_, view)| *view).collect();
-        lens_of(&kept, problem, (options, estimate))
+        lens_of(&kept, problem, (options, estimate), fit.effects.as_ref())
     };
     let lenses: Vec<DVector<f64>> = (0..groups).filter_map(without).collect();
     if lenses.len() < MIN_SOLVES {
@@ -71,11 +76,13 @@ fn jackknife(
     Some(sum * ((count - 1.0) / count))
 }
 
-/// The lens that some of the views give.
+/// The lens that some of the views give, begun with the effects that were `found` with all of them:
+/// what single views change of a minimum is asked, not which of several minima a search ends in.
 fn lens_of(
     kept: &[usize],
     problem: &CameraProblem,
     (options, estimate): (&CameraOptions, &CameraEstimate),
+    found: Option<&EffectsFit>,
 ) -> Option<DVector<f64>> {
     let views: Vec<BoardView> = kept.iter().map(|view| problem.views[*view].clone()).collect();
     let pose = |view: &usize| estimate.views[*view].camera_from_board;
@@ -94,6 +101,7 @@ fn lens_of(
         prepared.place_on(board).ok()?;
     }
     let fit = fit_camera(&mut prepared, estimate.lens.model(), &options).ok()?;
-    let fit = with_effects(fit, problem.image_size, &options);
+    let found = found.map(|found| found.of_views(kept));
+    let fit = with_effects_from(fit, found.as_ref(), (problem.image_size, &options));
     Some(DVector::from_vec(fit.lens().parameters().to_vec()))
 }

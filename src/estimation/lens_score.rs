@@ -3,8 +3,6 @@
 //! nearest lens of the larger model, costs as much as one of the hundred linearizations that its
 //! fit and its comparison on held-out views take.
 
-use nalgebra::Point3;
-
 use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::effects::lens_score::costs_beside_effects;
 use crate::estimation::joint::minimize::Minimum;
@@ -24,9 +22,6 @@ const BEYOND_CHANCE: f64 = 8.0;
 /// gain beyond chance where fits of larger models predicted views better.
 const MIN_VIEWS: usize = 8;
 
-/// Points that the nearest lens is found by, at most.
-const MAX_POINTS: usize = 600;
-
 /// Whether a lens of `model` could explain what `fit`, of a smaller model, leaves. Where a step does
 /// not say, it could. `stated` are the observations with the board as it was stated.
 pub(crate) fn could_fit_better(
@@ -38,7 +33,7 @@ pub(crate) fn could_fit_better(
         return true;
     }
     let Ok((free, given)) = FreeLens::from_options(model, options) else { return false };
-    let Some(lens) = nearest_lens(fit.lens(), (&free, &given), &some_points(fit)) else {
+    let Some(lens) = nearest_lens(fit.lens(), (&free, &given), &fit.some_points_in_camera()) else {
         return true;
     };
     let layout = Layout::new(vec![free], None).ended_by(&options.interrupt);
@@ -61,18 +56,4 @@ pub(crate) fn could_fit_better(
     let gain = residuals as f64 * (own / larger.max(f64::MIN_POSITIVE)).ln();
     let more = layout.len.saturating_sub(fit.layout.len).max(1) as f64;
     gain > more + BEYOND_CHANCE * (2.0 * more).sqrt()
-}
-
-/// The corners of a fit, or enough of them, in the camera's frame.
-fn some_points(fit: &CameraFit) -> Vec<Point3<f64>> {
-    let state = &fit.robust.minimum.state;
-    let of_view = |view: usize| {
-        let observation = &fit.observations[view];
-        let pose = state.rig_from_board[observation.frame_set];
-        let used = observation.points.iter().zip(&observation.used).filter(|(_, used)| **used);
-        used.map(move |(point, _)| pose * *point)
-    };
-    let points: Vec<Point3<f64>> = fit.good_views().into_iter().flat_map(of_view).collect();
-    let step = points.len().div_ceil(MAX_POINTS).max(1);
-    points.into_iter().step_by(step).collect()
 }

@@ -14,7 +14,7 @@
 //! | whether the corners of a view err together | `clustered_covariance`, `jackknife` |
 //! | color and depth as one camera | [`rgbd`], [`depth_error`] |
 //! | how far to trust a projection | [`uncertainty`] |
-//! | which lens model | [`lens_choice`] |
+//! | which lens model | [`lens_choice`], `lens_trial`, `model_averaging` |
 //! | why there is no answer | [`error`] |
 //! | how an estimate that nobody waits for ends early | [`interrupt`] |
 
@@ -37,11 +37,14 @@ pub mod lens_choice;
 pub mod lens_misfit;
 pub(crate) mod lens_pole;
 mod lens_score;
+pub(crate) mod lens_trial;
 pub mod measured_board;
 mod misfit;
+mod model_averaging;
 pub mod model_check;
 mod model_error;
 mod nearest_lens;
+mod normal_probability;
 pub(crate) mod planar_pose;
 pub mod problem;
 pub mod rgbd;
@@ -51,6 +54,7 @@ mod robust_fit;
 pub mod scene;
 mod shape_widening;
 mod start;
+mod starts_from_other_lenses;
 pub mod two_view;
 pub mod uncertainty;
 pub mod view_fault;

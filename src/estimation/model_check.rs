@@ -8,8 +8,8 @@ use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::joint::Layout;
 use crate::estimation::joint::minimize::Minimum;
 use crate::estimation::joint::per_observation::{assemble, linearize_each};
-use crate::estimation::lens_choice::{refit, squares_under};
 use crate::estimation::lens_misfit::LensMisfit;
+use crate::estimation::lens_trial::{refit, squares_under};
 use crate::estimation::misfit::Misfit;
 use crate::estimation::problem::{BoardShape, CameraOptions};
 use crate::estimation::uncertainty::{

@@ -24,16 +24,29 @@ pub(crate) fn nearest_lens(
 ) -> Option<Lens> {
     let mut near = Lens { matrix: lens.matrix, distortion: nested(lens, free.model)? };
     given.apply(&mut near)?;
+    let seen: Vec<(Point3<f64>, f64)> =
+        points_in_camera.iter().map(|point| (*point, 1.0)).collect();
+    nearest_from(near, lens, free, &seen)
+}
+
+/// As [`nearest_lens`], with a lens to start from, whose parameters that are not free stay, and
+/// weights of the points.
+pub(crate) fn nearest_from(
+    mut near: Lens,
+    lens: &Lens,
+    free: &FreeLens,
+    seen_in_camera: &[(Point3<f64>, f64)],
+) -> Option<Lens> {
     let spread = free.spread(&near);
     let (all, size) = spread.shape();
     for _ in 0..STEPS {
         let mut square = SMatrix::<f64, MAX_PARAMETERS, MAX_PARAMETERS>::zeros();
         let mut right = SVector::<f64, MAX_PARAMETERS>::zeros();
-        for point in points_in_camera {
+        for (point, weight) in seen_in_camera {
             let (seen, now) = (lens.pixel_from_point(point)?, near.project(point)?);
             let miss = Vector2::new(seen.x - now.pixel.x, seen.y - now.pixel.y);
-            square += now.by_parameters.tr_mul(&now.by_parameters);
-            right += now.by_parameters.tr_mul(&miss);
+            square += now.by_parameters.tr_mul(&now.by_parameters) * *weight;
+            right += now.by_parameters.tr_mul(&miss) * *weight;
         }
         let square = spread.transpose() * square.view((0, 0), (all, all)) * &spread;
         let right = spread.transpose() * right.rows(0, all);

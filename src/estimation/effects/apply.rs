@@ -3,7 +3,7 @@
 use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::effects::effect::Wanted;
 use crate::estimation::effects::effects_fit::EffectsFit;
-use crate::estimation::effects::fit::{Corners, Effects, fit_effects};
+use crate::estimation::effects::fit::{Corners, Effects, fit_effects, fit_same_effects};
 use crate::estimation::effects::hints::plausible;
 use crate::estimation::joint::minimize::{Minimum, Stop};
 use crate::estimation::problem::{BoardShape, CameraOptions, Shutter};
@@ -13,14 +13,34 @@ use crate::geometry::pixel::ImageSize;
 /// A fit of one camera carried on with what the views show of the board's shape and motion; as it
 /// was where they show none.
 pub(crate) fn with_effects(fit: CameraFit, size: ImageSize, options: &CameraOptions) -> CameraFit {
+    with_effects_from(fit, None, (size, options))
+}
+
+/// As [`with_effects`], beginning with what another fit of the same views `found`.
+pub(crate) fn with_effects_from(
+    fit: CameraFit,
+    found: Option<&EffectsFit>,
+    (size, options): (ImageSize, &CameraOptions),
+) -> CameraFit {
     let Some(wanted) = wanted(&fit, options) else { return fit };
-    let Some(Effects { found, shutter_doubt }) =
-        fit_effects(&fit, [size.width, size.height].map(f64::from), wanted)
-    else {
+    let sides = [size.width, size.height].map(f64::from);
+    let Some(Effects { found, shutter_doubt }) = fit_effects(&fit, found, (sides, wanted)) else {
         return fit;
     };
     let with = found.and_then(|found| carried_on(&fit, size, found));
     CameraFit { shutter_doubt, ..with.unwrap_or(fit) }
+}
+
+/// A plain fit carried on with the very effects that another lens's fit to the same corners `found`,
+/// so that two lenses can be compared: what one view's motion takes up, no lens is better for.
+pub(crate) fn with_same_effects(
+    fit: &CameraFit,
+    found: &EffectsFit,
+    size: ImageSize,
+) -> Option<CameraFit> {
+    let same = fit_same_effects(fit, found, f64::from(size.height))?;
+    let (observations, faults) = (fit.observations.clone(), fit.faults.clone());
+    carried_on(fit, size, (same, Corners { observations, faults, limit: fit.robust.limit }))
 }
 
 /// Whether the residuals of a plain fit of one camera hint at effects that [`with_effects`] searches

@@ -9,7 +9,8 @@ use crate::estimation::effects::board_basis::BoardBasis;
 use crate::estimation::effects::effect::Effect;
 use crate::estimation::effects::effects_fit::EffectsFit;
 use crate::estimation::effects::evidence::Variances;
-use crate::estimation::effects::state::EffectsState;
+use crate::estimation::effects::state::{EffectsState, Scene};
+use crate::estimation::joint::State;
 use crate::geometry::lens::Lens;
 use crate::geometry::pose::{Pose, pose_step};
 
@@ -65,6 +66,17 @@ impl EffectsFit {
             shutter_agreement: agreement,
             basis,
         })
+    }
+
+    /// What was found, with another lens and other poses in a scene of the same views.
+    pub(super) fn state_in(&self, scene: Scene<'_>, fixed: State, moves: bool) -> EffectsState {
+        let still = EffectsState::flat_and_still(fixed, scene.basis, scene.observations.len());
+        let shape = placed(&self.state.shape, &self.places_in(scene.basis), scene.basis.len());
+        EffectsState {
+            shape: shape.as_slice().to_vec(),
+            motions: if moves { self.state.motions.clone() } else { still.motions },
+            ..still
+        }
     }
 
     /// Where its coefficients lie in those of a wider basis.

@@ -29,3 +29,11 @@ pub(crate) struct EffectsFit {
     /// that is beyond chance, as which it counts.
     pub(crate) shutter_agreement: f64,
 }
+
+impl EffectsFit {
+    /// The same for some of its views.
+    pub(crate) fn of_views(&self, views: &[usize]) -> Self {
+        let motions = views.iter().map(|view| self.state.motions[*view]).collect();
+        Self { state: EffectsState { motions, ..self.state.clone() }, ..self.clone() }
+    }
+}

@@ -56,9 +56,13 @@ const MIN_VIEWS: usize = 3;
 /// Rounds of choosing corners anew.
 const MAX_ROUNDS: usize = 4;
 
-/// Estimates effects, starting from a plain fit of one camera. `None` where nothing hints at any, or
-/// the views do not determine them.
-pub(crate) fn fit_effects(plain: &CameraFit, size: [f64; 2], wanted: Wanted) -> Option<Effects> {
+/// Estimates effects, starting from a plain fit of one camera, or with the effects that were `found`
+/// with other lenses or poses. `None` where nothing hints at any, or the views do not determine them.
+pub(crate) fn fit_effects(
+    plain: &CameraFit,
+    found: Option<&EffectsFit>,
+    (size, wanted): ([f64; 2], Wanted),
+) -> Option<Effects> {
     let [width, rows] = size;
     let wanted = hints::plausible(plain, size, wanted)?;
     let basis = BoardBasis::of(&plain.observations, true)?;
@@ -81,8 +85,15 @@ pub(crate) fn fit_effects(plain: &CameraFit, size: [f64; 2], wanted: Wanted) -> 
         by_columns: None,
         moves: true,
     };
-    let start =
-        |scene, wanted| EffectSearch::start(scene, plain.robust.minimum.state.clone(), wanted);
+    // Some of the views may be all that saw a part of the board.
+    let found = found.filter(|found| found.basis.points == basis.points);
+    let start = |scene, wanted| {
+        let fixed = plain.robust.minimum.state.clone();
+        match found {
+            Some(found) => EffectSearch::from_found(scene, (fixed, found), wanted),
+            None => EffectSearch::start(scene, fixed, wanted),
+        }
+    };
     let scene = Scene { good: &good, ..whole };
     let walk = start(scene, wanted)?.settled(scene, wanted)?;
     let weighed = if walk.moves() && !wanted.motion_for_certain {
@@ -125,6 +136,33 @@ pub(crate) fn fit_effects(plain: &CameraFit, size: [f64; 2], wanted: Wanted) -> 
     let shutter_doubt = Some(difference * by_rows.error());
     let found = found.averaged_with(&still, (&basis, by_rows.agreement))?;
     Some(Effects { found: Some((found, corners)), shutter_doubt })
+}
+
+/// The same effects as were `found` with another lens, with the lens of a plain fit to the same
+/// corners: none is added or dropped, and a rolling shutter counts as much as it did there.
+pub(crate) fn fit_same_effects(
+    plain: &CameraFit,
+    found: &EffectsFit,
+    rows: f64,
+) -> Option<EffectsFit> {
+    let basis = BoardBasis::of(&plain.observations, true)?;
+    let good = plain.good_views();
+    let scene = Scene {
+        layout: &plain.layout,
+        basis: &basis,
+        observations: &plain.observations,
+        good: &good,
+        rows,
+        by_columns: None,
+        moves: true,
+    };
+    let from = || (plain.robust.minimum.state.clone(), found);
+    let with = EffectSearch::same_as(scene, from(), true)?.finished(scene)?;
+    if found.shutter_agreement >= 1.0 {
+        return Some(with);
+    }
+    let still = EffectSearch::same_as(scene, from(), false)?.finished(scene)?;
+    with.averaged_with(&still, (&basis, found.shutter_agreement))
 }
 
 /// By how much the parameters of a lens exceed those of another.
@@ -211,11 +249,44 @@ impl EffectSearch {
         Some(next)
     }
 
+    /// From effects that were found before, of the same views.
+    fn from_found(
+        scene: Scene<'_>,
+        (fixed, found): (State, &EffectsFit),
+        wanted: Wanted,
+    ) -> Option<Self> {
+        let state = found.state_in(scene, fixed, wanted.motion);
+        let own = found.variances.of(Effect::Own).is_some() || wanted.shape_for_certain;
+        Some(Self::from_state(scene, state, (wanted, own))?.with_variances_of(found))
+    }
+
+    /// With the very effects that were found before, of the same views, at the minimum; with or
+    /// without the motion among them.
+    fn same_as(
+        scene: Scene<'_>,
+        (fixed, found): (State, &EffectsFit),
+        moves: bool,
+    ) -> Option<Self> {
+        let effects = found.variances.0.iter().map(|(effect, _)| *effect);
+        let effects: Vec<Effect> = effects.filter(|effect| moves || !effect.is_motion()).collect();
+        let state = found.state_in(scene, fixed, moves);
+        let mut walk = Self::of_effects(scene, state, &effects)?.with_variances_of(found);
+        walk.settle(scene, ROUGH_STEPS)?;
+        Some(walk)
+    }
+
+    fn with_variances_of(mut self, found: &EffectsFit) -> Self {
+        for (effect, lambda) in &mut self.variances.0 {
+            *lambda = found.variances.of(*effect).unwrap_or(*lambda);
+        }
+        self
+    }
+
     /// With all effects that are wanted, in a scene that has all of them; `own` for offsets of each
     /// point too.
     fn from_state(
         scene: Scene<'_>,
-        mut state: EffectsState,
+        state: EffectsState,
         (wanted, own): (Wanted, bool),
     ) -> Option<Self> {
         let mut effects: Vec<Effect> = Vec::new();
@@ -227,11 +298,17 @@ impl EffectSearch {
         if wanted.motion {
             effects.extend([Effect::Rotation, Effect::Translation]);
         }
-        let (basis, kept) = scene.basis.only(&effects);
+        Self::of_effects(scene, state, &effects)
+    }
+
+    /// With these effects.
+    fn of_effects(scene: Scene<'_>, mut state: EffectsState, effects: &[Effect]) -> Option<Self> {
+        let (basis, kept) = scene.basis.only(effects);
         state.shape = kept.iter().map(|k| state.shape[*k]).collect();
-        let scene = Scene { basis: &basis, moves: wanted.motion, ..scene };
+        let moves = effects.iter().any(|effect| effect.is_motion());
+        let scene = Scene { basis: &basis, moves, ..scene };
         let system = System::at(scene, &state)?;
-        let variances = Variances::start(&effects, &system, scene.layout.len, &basis);
+        let variances = Variances::start(effects, &system, scene.layout.len, &basis);
         Some(Self { state, system, variances, basis: Rc::new(basis), here: None })
     }
 

@@ -10,6 +10,7 @@ use crate::estimation::effects::fit::{EffectSearch, LEAST_GROUP_GAIN, MAX_STEPS}
 use crate::estimation::effects::read_by_rows::ReadByRows;
 use crate::estimation::effects::state::Scene;
 use crate::estimation::effects::system::ViewPart;
+use crate::estimation::normal_probability::normal_probability;
 use crate::geometry::median::median;
 
 /// Views agree where their mean is this many of its standard deviations from 0: less than five
@@ -94,7 +95,7 @@ impl ReadByRows {
         Some(Self {
             is_shown: is_favored && agree,
             agreement: if t > 0.0 { beyond_chance } else { 0.0 },
-            probability: 0.5 * libm::erfc(-deviations * std::f64::consts::FRAC_1_SQRT_2),
+            probability: normal_probability(deviations),
         })
     }
 }

@@ -1,0 +1,98 @@
+//! What the choice between lens models adds to the covariance of the lens that was chosen: how other
+//! models' lenses differ from it, each as likely as it is to be the nearer one (the variance between
+//! models of J. A. Hoeting, D. Madigan, A. E. Raftery, C. T. Volinsky, *Bayesian model averaging: a
+//! tutorial*, 1999, equation 3, about the lens that is reported). Without it a choice that single
+//! views decide would jump by more than the deviations that are stated.
+
+use nalgebra::{DMatrix, DVector, Point3};
+
+use crate::estimation::joint::FreeLens;
+use crate::estimation::lens_trial::Trial;
+use crate::estimation::nearest_lens::nearest_from;
+use crate::estimation::uncertainty::{Distance, projection_uncertainty};
+use crate::geometry::lens::Lens;
+
+/// The odds of another model beside the chosen one, at most: a model that is likelier was not chosen
+/// for what it does beyond the views.
+const EVEN: f64 = 1.0;
+
+/// A model of smaller odds is left out (Occam's window of D. Madigan, A. E. Raftery, *Model selection
+/// and accounting for model uncertainty in graphical models using Occam's window*, 1994): the tail of
+/// a normal distribution is not known so far out, and lenses that are out of the question are off by
+/// hundreds of deviations.
+const LEAST_ODDS: f64 = 0.05;
+
+/// The parameters before a lens's coefficients: fx, fy, cx, cy, skew.
+const MATRIX: usize = 5;
+
+/// The covariance between the models of `trials` about the `chosen` one, in the order of
+/// [`Lens::parameter_names`]; models of fewer parameters come before it, those of more after it.
+/// `None` where projections of one of them are not determined.
+pub(crate) fn between_models(trials: &[&Trial<'_>], chosen: usize) -> Option<DMatrix<f64>> {
+    let own = trials[chosen];
+    let odds = |(k, other): (usize, &&Trial<'_>)| {
+        let probability = match k.cmp(&chosen) {
+            std::cmp::Ordering::Less => 1.0 - own.probability_beside(other),
+            std::cmp::Ordering::Equal => 0.5,
+            std::cmp::Ordering::Greater => other.probability_beside(own),
+        };
+        let odds = (probability / (1.0 - probability).max(f64::MIN_POSITIVE)).min(EVEN);
+        if odds < LEAST_ODDS { 0.0 } else { odds }
+    };
+    let odds: Vec<f64> = trials.iter().enumerate().map(odds).collect();
+    let sum: f64 = odds.iter().sum();
+    let count = own.fit.lens().parameters().len();
+    let mut covariance = DMatrix::zeros(count, count);
+    for (other, odds) in trials.iter().zip(&odds) {
+        if *odds > 0.0 && other.fit.lens().model() != own.fit.lens().model() {
+            let difference = difference(own, other)?;
+            covariance += &difference * difference.transpose() * (odds / sum);
+        }
+    }
+    Some(covariance)
+}
+
+/// How the parameters of one lens would have to change for it to see as that of another model does:
+/// focal lengths and center are those of the other, and coefficients follow. Pixels count by how
+/// well both lenses are known there.
+fn difference(own: &Trial<'_>, other: &Trial<'_>) -> Option<DVector<f64>> {
+    let [lens, target] = [own, other].map(|trial| trial.fit.lens());
+    let variances = |trial: &Trial<'_>| {
+        let (lens, covariance) = (trial.fit.lens(), trial.covariance.as_ref()?);
+        Some(projection_uncertainty(lens, covariance, trial.grid, Distance::Infinity)?.square_px2)
+    };
+    let variances = variances(own)?.into_iter().zip(variances(other)?);
+    let seen: Vec<(Point3<f64>, f64)> = own
+        .grid
+        .pixels()
+        .zip(variances)
+        .filter_map(|(pixel, (own, other))| {
+            let point = Point3::from(lens.bearing_from_pixel(pixel)?.into_inner());
+            target.pixel_from_point(&point)?;
+            Some((point, 1.0 / (own? + other?)))
+        })
+        .collect();
+    let free_lens = &own.fit.layout.sensors[0].lens;
+    let coefficients = FreeLens {
+        model: free_lens.model,
+        free: free_lens.free.iter().copied().filter(|index| *index >= MATRIX).collect(),
+        square_pixels: false,
+    };
+    let moved = Lens { matrix: target.matrix, ..*lens };
+    let miss = |lens: &Lens| -> f64 {
+        let of = |(point, weight): &(Point3<f64>, f64)| {
+            let pixels = [lens, target].map(|lens| lens.pixel_from_point(point));
+            let [Some(pixel), Some(wanted)] = pixels else { return f64::INFINITY };
+            pixel.distance_px(wanted).powi(2) * weight
+        };
+        seen.iter().map(of).sum()
+    };
+    // Of coefficients that the pixels do not determine a search may end anywhere.
+    let near = nearest_from(moved, target, &coefficients, &seen)
+        .filter(|near| miss(near) < miss(&moved))
+        .unwrap_or(moved);
+    Some(
+        DVector::from_vec(near.parameters().to_vec())
+            - DVector::from_vec(lens.parameters().to_vec()),
+    )
+}

@@ -1,0 +1,111 @@
+//! Fits of several lens models to the same views, each started again from where others ended.
+//!
+//! Beside the shape of an uneven board the cost has more than one minimum. A plain fit of a large
+//! model to a board that is taken as flat ends far from the lens, and the board's shape is then
+//! searched for from there: on photographs of a board bent by 2.5 mm the rational model ended with
+//! five times the residual variance of brown, which it holds.
+
+use crate::estimation::camera_fit::CameraFit;
+use crate::estimation::effects::apply::{with_effects_from, with_same_effects};
+use crate::estimation::joint::minimize::Minimum;
+use crate::estimation::joint::{BoardObservation, FreeLens, State};
+use crate::estimation::nearest_lens::nearest_lens;
+use crate::estimation::problem::CameraOptions;
+use crate::estimation::robust::Loss;
+use crate::estimation::robust_fit::RobustFit;
+use crate::geometry::pixel::ImageSize;
+
+/// Starts each of the fits `with` effects again from the one that fits most closely, and from those
+/// of models that it holds, where these fit more closely than it does; `plain` are the fits without
+/// effects, of the same models.
+pub(crate) fn start_from_each_other(
+    plain: &[CameraFit],
+    with: &mut [CameraFit],
+    (size, options): (ImageSize, &CameraOptions),
+) {
+    let closest = closest_of(with);
+    for fit in 0..with.len() {
+        for other in (0..with.len()).filter(|other| *other != fit) {
+            let is_held = with[fit].lens().model().holds(with[other].lens().model());
+            let is_closer = residual_variance(&with[other]) < residual_variance(&with[fit]);
+            if !is_closer || !(is_held || other == closest) {
+                continue;
+            }
+            let from = (&plain[other], &with[other]);
+            if let Some(again) = started_from(&with[fit], from, (size, options)) {
+                with[fit] = again;
+            }
+        }
+    }
+}
+
+/// The one of some fits of the same views that fits most closely, by index.
+pub(crate) fn closest_of(fits: &[CameraFit]) -> usize {
+    let limit = |fit: &usize| fits[*fit].robust.limit;
+    (0..fits.len()).min_by(|a, b| limit(a).total_cmp(&limit(b))).unwrap_or_default()
+}
+
+/// The observations of a fit, with the corners that another one of the same views uses.
+pub(crate) fn with_corners_of(fit: &CameraFit, other: &CameraFit) -> Vec<BoardObservation> {
+    let pairs = fit.observations.iter().zip(&other.observations);
+    pairs.map(|(own, other)| BoardObservation { used: other.used.clone(), ..own.clone() }).collect()
+}
+
+/// The variance that the residuals show, in units of the corners' own.
+fn residual_variance(fit: &CameraFit) -> f64 {
+    fit.effects.as_ref().map_or_else(|| fit.noise_square(), |effects| effects.noise_square)
+}
+
+/// A fit of the same model that begins where that of another one ended; `None` where it does not
+/// fit more closely to as many views.
+fn started_from(
+    fit: &CameraFit,
+    from: (&CameraFit, &CameraFit),
+    (size, options): (ImageSize, &CameraOptions),
+) -> Option<CameraFit> {
+    let start = start_at(fit, from, options)?;
+    let again = with_effects_from(start, from.1.effects.as_ref(), (size, options));
+    let is_better = residual_variance(&again) < residual_variance(fit)
+        && again.good_views().len() >= fit.good_views().len();
+    is_better.then_some(again)
+}
+
+/// The plain fit of the model of `fit` where that of another one, `plain` and with effects, ended.
+fn start_at(
+    fit: &CameraFit,
+    (plain, with): (&CameraFit, &CameraFit),
+    options: &CameraOptions,
+) -> Option<CameraFit> {
+    let (free, given) = FreeLens::from_options(fit.lens().model(), options).ok()?;
+    let lens = nearest_lens(with.lens(), (&free, &given), &with.some_points_in_camera())?;
+    let state = State { lenses: vec![lens], ..with.robust.minimum.state.clone() };
+    let observations = with_corners_of(plain, with);
+    let minimum = Minimum::start(&fit.layout, state, &observations, Loss::Squares)?;
+    let robust = RobustFit { minimum, limit: with.robust.limit };
+    Some(CameraFit::new(fit.layout.clone(), robust, observations, with.faults.clone()))
+}
+
+/// Fits of all models with the same effects as the one that fits most closely: to the same corners,
+/// the board's shape and the motion being each one's own. Each view's motion is fitted to the view
+/// itself, so that a fit in which motion counts for more would have the smaller error on views that
+/// are held out. Those `with` effects of their own where there is no such fit.
+pub(crate) fn with_common_effects(
+    plain: &[CameraFit],
+    with: &[CameraFit],
+    (size, options): (ImageSize, &CameraOptions),
+) -> Vec<CameraFit> {
+    let closest = closest_of(with);
+    let from = (&plain[closest], &with[closest]);
+    let common = |(k, own): (usize, &CameraFit)| {
+        if k == closest {
+            return own.clone();
+        }
+        let start = start_at(own, from, options);
+        let same = start.and_then(|start| match &from.1.effects {
+            Some(found) => with_same_effects(&start, found, size),
+            None => Some(plain[k].clone()),
+        });
+        same.unwrap_or_else(|| own.clone())
+    };
+    with.iter().enumerate().map(common).collect()
+}
