@@ -83,8 +83,8 @@ fn auto_errs_no_more_than_it_says_and_takes_no_parameter_that_the_lens_lacks() {
     }
 }
 
-/// Views of a board that is bowed by a millimeter and printed a tenth of one off.
-fn uneven(camera: &SeededCamera, views: usize, seed: u64) -> CameraProblem {
+/// Views of a board that is bowed by `height_m` and printed a tenth of a millimeter off.
+fn uneven(camera: &SeededCamera, (views, seed): (usize, u64), height_m: f64) -> CameraProblem {
     let mut rng = SeededCamera::rng(seed);
     let poses = camera.poses(views, &mut rng);
     let mut problem = camera.problem(&poses, &mut rng);
@@ -93,7 +93,7 @@ fn uneven(camera: &SeededCamera, views: usize, seed: u64) -> CameraProblem {
     let offsets: Vec<Vector3<f64>> = corners
         .map(|corner| {
             let [x, y] = [corner.x / 0.24, corner.y / 0.15];
-            let height = 1e-3 * ((3.0 * x).sin() + x * y - y * y);
+            let height = height_m * ((3.0 * x).sin() + x * y - y * y);
             Vector3::new(own.sample(&mut rng), own.sample(&mut rng), height)
         })
         .collect();
@@ -115,7 +115,7 @@ fn neither_an_uneven_board_nor_a_rolling_shutter_makes_auto_take_another_lens() 
     let mut cases = Vec::new();
     for camera in cameras.map(precise) {
         for (views, seed) in [(12, 0), (20, 1), (30, 2)] {
-            let problem = uneven(&camera, views, 6300 + seed);
+            let problem = uneven(&camera, (views, 6300 + seed), 1e-3);
             cases.push((format!("uneven, {views} views"), camera.clone(), problem));
         }
     }
@@ -209,4 +209,25 @@ fn a_choice_that_views_do_not_decide_is_in_the_covariance() {
     assert!(others > 4 && wider > 4, "{others} other models, {wider} wider");
     // Twenty-four give the rms of a deviate to 0.14.
     assert!((0.6..1.4).contains(&z), "{z}");
+}
+
+/// A plain fit to a board that is far from flat leaves a large model far from the lens. It starts
+/// from the smaller ones that it holds, too, and does not end further from the views than they do.
+#[test]
+fn beside_a_bent_board_a_larger_model_predicts_no_worse_than_one_that_it_holds() {
+    let camera = SeededCamera { noise_px: 0.05, ..SeededCamera::ordinary() };
+    for seed in 0..8 {
+        let problem = uneven(&camera, (20, 6900 + seed), 4e-3);
+        let estimate = calibrate_camera(&problem, &CameraOptions::default()).unwrap();
+        let held_out_px = |model| {
+            let trial = estimate.compared.iter().find(|trial| trial.model == model);
+            trial.map(|trial| trial.held_out_rms_px)
+        };
+        assert_eq!(estimate.lens.model(), LensModel::Brown, "{seed}: {:?}", estimate.compared);
+        let brown_px = held_out_px(LensModel::Brown).unwrap();
+        // Refused for a pole it has none.
+        if let Some(rational_px) = held_out_px(LensModel::Rational) {
+            assert!(rational_px < 1.3 * brown_px, "{seed}: {:?}", estimate.compared);
+        }
+    }
 }

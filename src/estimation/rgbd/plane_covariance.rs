@@ -6,11 +6,13 @@ use crate::estimation::clustered_covariance::{FitCovariance, ReducedView};
 use crate::estimation::joint::Layout;
 use crate::estimation::joint::depth_terms::{PlaneObservation, add_planes};
 use crate::estimation::joint::normal::NormalEquations;
+use crate::estimation::normal_probability::normal_probability;
 use crate::estimation::rgbd::corners::CornerBlocks;
 use crate::estimation::rgbd::planes::{Fit, Planes, scaled};
 
 /// A lens or pose that the form of the correction moves by more than this many standard deviations
-/// is known no better than that.
+/// is known no better than that; at this many it counts by half, as how far it is moved is known to
+/// one.
 const FORM_LIMIT: f64 = 3.0;
 
 impl Planes<'_> {
@@ -64,8 +66,8 @@ impl Planes<'_> {
         alone.reduced(frame_set)
     }
 
-    /// What another form of the correction does to lens and pose, as their variances; nothing where
-    /// it is within chance.
+    /// What another form of the correction does to lens and pose, as their variances, times how
+    /// likely it is that this is beyond chance.
     pub(super) fn by_form(
         &self,
         fit: &Fit,
@@ -87,12 +89,9 @@ impl Planes<'_> {
                     .for_each(|k| (step[at + k], step[at + 3 + k]) = (rotation[k], translation[k]));
             }
         }
-        let beyond_chance = (0..step.len())
-            .any(|k| step[k].abs() > FORM_LIMIT * covariance[(k, k)].max(0.0).sqrt());
-        if beyond_chance {
-            &step * step.transpose()
-        } else {
-            DMatrix::zeros(step.len(), step.len())
-        }
+        let in_deviations = (0..step.len())
+            .map(|k| step[k].abs() / covariance[(k, k)].max(f64::MIN_POSITIVE).sqrt());
+        let beyond_chance = normal_probability(in_deviations.fold(0.0, f64::max) - FORM_LIMIT);
+        &step * step.transpose() * beyond_chance
     }
 }
