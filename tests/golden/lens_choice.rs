@@ -211,8 +211,7 @@ fn a_choice_that_views_do_not_decide_is_in_the_covariance() {
     assert!((0.6..1.4).contains(&z), "{z}");
 }
 
-/// A plain fit to a board that is far from flat leaves a large model far from the lens. It starts
-/// from the smaller ones that it holds, too, and does not end further from the views than they do.
+/// A plain fit to a board that is far from flat leaves a large model far from the lens.
 #[test]
 fn beside_a_bent_board_a_larger_model_predicts_no_worse_than_one_that_it_holds() {
     let camera = SeededCamera { noise_px: 0.05, ..SeededCamera::ordinary() };
@@ -225,7 +224,7 @@ fn beside_a_bent_board_a_larger_model_predicts_no_worse_than_one_that_it_holds()
         };
         assert_eq!(estimate.lens.model(), LensModel::Brown, "{seed}: {:?}", estimate.compared);
         let brown_px = held_out_px(LensModel::Brown).unwrap();
-        // Refused for a pole it has none.
+        // With a pole in the image it is left out.
         if let Some(rational_px) = held_out_px(LensModel::Rational) {
             assert!(rational_px < 1.3 * brown_px, "{seed}: {:?}", estimate.compared);
         }
