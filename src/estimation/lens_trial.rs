@@ -261,8 +261,9 @@ mod tests {
     /// Twenty views whose errors under the larger model are smaller by e^0.1 in the mean, and
     /// scatter by e^0.2.
     fn views() -> Vec<[f64; 2]> {
-        let scatter = |k: i32| if k % 2 == 0 { 0.2 } else { -0.2 };
-        (0..20).map(|k| [f64::from(1 + k), f64::from(1 + k) * (-0.1 + scatter(k)).exp()]).collect()
+        let gain = |k: i32| -> f64 { if k % 2 == 0 { 0.1 } else { -0.3 } };
+        let view = |k: i32| [f64::from(1 + k), f64::from(1 + k) * gain(k).exp()];
+        (0..20).map(view).collect()
     }
 
     #[test]
