@@ -8,7 +8,11 @@ use crate::geometry::pixel::ImageSize;
 const LEAST_DENOMINATOR: f64 = 0.1;
 
 /// Squared radii at which the denominator is sampled.
-const POLE_STEPS: u32 = 400;
+const POLE_STEPS: i32 = 400;
+
+/// How far below 0 squared radii are asked about, as a part of the farthest one, or of 1 (45° off
+/// the axis) where that is less. No pixel has those, but a zero there makes a cusp of the center.
+const BELOW_CENTER: f64 = 0.1;
 
 /// Whether the denominator of a rational lens comes near 0 somewhere in the image. Views that do
 /// not determine all of its parameters are fitted best by a numerator and a denominator of huge
@@ -19,9 +23,11 @@ pub(crate) fn has_pole(lens: &Lens, size: ImageSize) -> bool {
     let reach = |center: f64, length: u32| center.abs().max((f64::from(length) - center).abs());
     let farthest =
         (reach(matrix.cx, size.width) / matrix.fx).hypot(reach(matrix.cy, size.height) / matrix.fy);
+    let (farthest, nearest) = (farthest * farthest, -BELOW_CENTER * farthest.min(1.0).powi(2));
     let denominator = |r2: f64| 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6));
-    (1..=POLE_STEPS).any(|k| {
-        denominator(farthest * farthest * f64::from(k) / f64::from(POLE_STEPS)) < LEAST_DENOMINATOR
+    (0..=POLE_STEPS).any(|k| {
+        let part = f64::from(k) / f64::from(POLE_STEPS);
+        denominator(nearest + part * (farthest - nearest)) < LEAST_DENOMINATOR
     })
 }
 
@@ -42,6 +48,8 @@ mod tests {
             &rational([-441.3, 48612.0, 0.0, 0.0, 21670.0, -441.1, 48499.0, 34931.0]),
             size
         ));
+        // A cusp of the center, 50 pixels wide.
+        assert!(has_pole(&rational([195.0, 8.0, 0.0, 0.0, 0.0, 194.6, 7.9, 0.1]), size));
         assert!(!has_pole(&rational([0.34, 0.016, 0.0, 0.0, 0.0004, 0.65, 0.1, 0.002]), size));
         assert!(!has_pole(&rational([12.0, 5.0, 0.0, 0.0, 0.3, 12.3, 8.0, 1.2]), size));
         let brown = Lens::from_parameters(

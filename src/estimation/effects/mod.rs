@@ -12,7 +12,8 @@
 //! | products with the board's shape | `shape_products` |
 //! | one view's Jacobian, dense | `view_columns` |
 //! | posterior and variances | `evidence` |
-//! | the walk to the minimum, and which effects stay | `fit` |
+//! | the walk to the minimum, and which effects stay | `search` |
+//! | corners chosen anew beside effects, with and without motion | `fit` |
 //! | covariances at the end | `finish` |
 //! | what was found | `effects_fit` |
 //! | whether effects are plausible at all | `hints` |
@@ -39,6 +40,7 @@ mod jacobian_tests;
 pub(crate) mod lens_score;
 mod measured;
 mod read_by_rows;
+mod search;
 mod shape_products;
 mod shutter;
 mod six_columns;

@@ -6,8 +6,8 @@ use std::rc::Rc;
 use nalgebra::Matrix6;
 
 use crate::estimation::effects::evidence::Reduced;
-use crate::estimation::effects::fit::{EffectSearch, LEAST_GROUP_GAIN, MAX_STEPS};
 use crate::estimation::effects::read_by_rows::ReadByRows;
+use crate::estimation::effects::search::{EffectSearch, LEAST_GROUP_GAIN, MAX_STEPS};
 use crate::estimation::effects::state::Scene;
 use crate::estimation::effects::system::ViewPart;
 use crate::estimation::normal_probability::normal_probability;

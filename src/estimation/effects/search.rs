@@ -1,0 +1,338 @@
+//! The walk to the posterior's mode, with variances updated on the way.
+
+use std::rc::Rc;
+
+use nalgebra::{Vector3, Vector6};
+
+use crate::estimation::effects::board_basis::BoardBasis;
+use crate::estimation::effects::effect::{Effect, Wanted};
+use crate::estimation::effects::effects_fit::EffectsFit;
+use crate::estimation::effects::evidence::{Posterior, Reduced, Variances};
+use crate::estimation::effects::hints;
+use crate::estimation::effects::state::{EffectsState, Scene};
+use crate::estimation::effects::system::System;
+use crate::estimation::joint::State;
+use crate::geometry::lens::Lens;
+use crate::geometry::pose::pose_step;
+
+/// What the board's shape, or its motion, must raise the logarithm of the evidence by to be in the
+/// model: chance alone does once in a hundred times (χ² of the few variances that each has).
+pub(super) const LEAST_GROUP_GAIN: f64 = 4.0;
+
+/// Likewise for one kind of shape or of motion where others of its group are in the model.
+const LEAST_GAIN: f64 = 1.5;
+
+/// Steps before effects that nothing shows are taken out; the rest is quicker without them.
+const FIRST_STEPS: usize = 3;
+
+pub(super) const MAX_STEPS: usize = 5;
+
+/// Steps with smooth shapes alone.
+const ROUGH_STEPS: usize = 8;
+
+/// The walk. What is not in the model has no unknowns.
+pub(super) struct EffectSearch {
+    pub(super) state: EffectsState,
+    pub(super) system: System,
+    pub(super) variances: Variances,
+    /// Those functions on the board that are in the model.
+    pub(super) basis: Rc<BoardBasis>,
+    /// What data and variances say here, where that was asked last.
+    pub(super) here: Option<Posterior>,
+}
+
+impl EffectSearch {
+    /// First with a few smooth shapes alone, which take a tenth of the time and lead near.
+    pub(super) fn start(scene: Scene<'_>, plain: State, wanted: Wanted) -> Option<Self> {
+        let rough = BoardBasis::of(scene.observations, false)?;
+        let flat = EffectsState::flat_and_still(plain, &rough, scene.observations.len());
+        let rough_scene = Scene { basis: &rough, moves: true, ..scene };
+        if !wanted.shape {
+            return Self::from_state(rough_scene, flat, (wanted, false));
+        }
+        let mut near = Self::from_state(rough_scene, flat, (wanted, false))?;
+        near.settle(rough_scene, ROUGH_STEPS)?;
+        let heights = rough.heights.len();
+        let mut shape = vec![0.0; scene.basis.len()];
+        shape[..heights].copy_from_slice(&near.state.shape[..heights]);
+        let stretches = Effect::Stretch.range(scene.basis);
+        shape[stretches].copy_from_slice(&near.state.shape[heights..]);
+        // Offsets of their own make the equations large: where smooth shapes and motion leave nothing
+        // that they would explain, they are left out.
+        let basis = Rc::clone(&near.basis);
+        let narrow = near.narrowed(rough_scene, &basis);
+        let noise_square = near.reduced(narrow, &near.variances)?.noise_square(&near.state);
+        let own =
+            hints::own_offsets_stand_out(&near.system, noise_square) || wanted.shape_for_certain;
+        let state = EffectsState { shape, ..near.state };
+        let mut next = Self::from_state(scene, state, (wanted, own))?;
+        for (effect, lambda) in &mut next.variances.0 {
+            // What the rough shapes hid comes back sooner from too wide a variance.
+            *lambda = near.variances.of(*effect).map_or(*lambda, |found| found.min(*lambda));
+        }
+        Some(next)
+    }
+
+    /// From effects that were found before, of the same views.
+    pub(super) fn from_found(
+        scene: Scene<'_>,
+        (fixed, found): (State, &EffectsFit),
+        wanted: Wanted,
+    ) -> Option<Self> {
+        let state = found.state_in(scene, fixed, wanted.motion);
+        let own = found.variances.of(Effect::Own).is_some() || wanted.shape_for_certain;
+        Some(Self::from_state(scene, state, (wanted, own))?.with_variances_of(found))
+    }
+
+    /// With the very effects that were found before, of the same views, at the minimum; with or
+    /// without the motion among them.
+    pub(super) fn same_as(
+        scene: Scene<'_>,
+        (fixed, found): (State, &EffectsFit),
+        moves: bool,
+    ) -> Option<Self> {
+        let effects = found.variances.0.iter().map(|(effect, _)| *effect);
+        let effects: Vec<Effect> = effects.filter(|effect| moves || !effect.is_motion()).collect();
+        let state = found.state_in(scene, fixed, moves);
+        let mut walk = Self::of_effects(scene, state, &effects)?.with_variances_of(found);
+        walk.settle(scene, ROUGH_STEPS)?;
+        Some(walk)
+    }
+
+    fn with_variances_of(mut self, found: &EffectsFit) -> Self {
+        for (effect, lambda) in &mut self.variances.0 {
+            *lambda = found.variances.of(*effect).unwrap_or(*lambda);
+        }
+        self
+    }
+
+    /// With all effects that are wanted, in a scene that has all of them; `own` for offsets of each
+    /// point too.
+    fn from_state(
+        scene: Scene<'_>,
+        state: EffectsState,
+        (wanted, own): (Wanted, bool),
+    ) -> Option<Self> {
+        let mut effects: Vec<Effect> = Vec::new();
+        if wanted.shape {
+            effects.extend(scene.basis.height_groups().into_iter().map(Effect::Height));
+            effects.push(Effect::Stretch);
+            effects.extend((scene.basis.has_own && own).then_some(Effect::Own));
+        }
+        if wanted.motion {
+            effects.extend([Effect::Rotation, Effect::Translation]);
+        }
+        Self::of_effects(scene, state, &effects)
+    }
+
+    /// With these effects.
+    fn of_effects(scene: Scene<'_>, mut state: EffectsState, effects: &[Effect]) -> Option<Self> {
+        let (basis, kept) = scene.basis.only(effects);
+        state.shape = kept.iter().map(|k| state.shape[*k]).collect();
+        let moves = effects.iter().any(|effect| effect.is_motion());
+        let scene = Scene { basis: &basis, moves, ..scene };
+        let system = System::at(scene, &state)?;
+        let variances = Variances::start(effects, &system, scene.layout.len, &basis);
+        Some(Self { state, system, variances, basis: Rc::new(basis), here: None })
+    }
+
+    /// The scene with what is in the model, `basis` being its own.
+    pub(super) fn narrowed<'a>(&self, scene: Scene<'a>, basis: &'a BoardBasis) -> Scene<'a> {
+        Scene { basis, moves: self.moves(), ..scene }
+    }
+
+    /// With no effects.
+    pub(super) fn bare(scene: Scene<'_>, plain: State) -> Option<Self> {
+        let flat = EffectsState::flat_and_still(plain, scene.basis, scene.observations.len());
+        let none = Wanted {
+            shape: false,
+            motion: false,
+            shape_for_certain: false,
+            motion_for_certain: false,
+        };
+        Self::from_state(scene, flat, (none, false))
+    }
+
+    /// At the minimum with corners chosen anew, with the same effects.
+    pub(super) fn settled_again(self, scene: Scene<'_>) -> Option<Self> {
+        let mut next = self.again(scene)?;
+        next.settle(scene, MAX_STEPS)?;
+        Some(next)
+    }
+
+    /// At the minimum, with the effects that are missed without; `None` where there are none.
+    pub(super) fn settled(mut self, scene: Scene<'_>, wanted: Wanted) -> Option<Self> {
+        let mut steps = FIRST_STEPS;
+        loop {
+            if self.variances.0.is_empty() {
+                return None;
+            }
+            self.settle(scene, steps)?;
+            if !self.drop_idle(scene, wanted)? {
+                return Some(self);
+            }
+            steps = MAX_STEPS;
+        }
+    }
+
+    pub(super) fn lens(&self) -> &Lens {
+        &self.state.fixed.lenses[0]
+    }
+
+    /// The same with corners chosen anew.
+    pub(super) fn again(self, scene: Scene<'_>) -> Option<Self> {
+        let system = System::at(self.narrowed(scene, &self.basis), &self.state)?;
+        Some(Self { system, here: None, ..self })
+    }
+
+    pub(super) fn moves(&self) -> bool {
+        self.variances.0.iter().any(|(effect, _)| effect.is_motion())
+    }
+
+    /// A walk on from here without the motion, in another scene.
+    pub(super) fn still(&self, scene: Scene<'_>) -> Option<Self> {
+        let mut state = self.state.clone();
+        for (effect, _) in self.variances.0.iter().filter(|(effect, _)| effect.is_motion()) {
+            state.clear(*effect, &self.basis);
+        }
+        let system = System::at(self.narrowed(scene, &self.basis), &state)?;
+        let (variances, basis) = (self.variances.clone(), self.basis.clone());
+        Some(Self { state, system, variances, basis, here: None })
+    }
+
+    fn reduced<'a>(&'a self, scene: Scene<'a>, variances: &'a Variances) -> Option<Reduced<'a>> {
+        Reduced::of(&self.system, &self.state, (scene.basis, scene.layout.len), variances)
+    }
+
+    pub(super) fn posterior(&self, scene: Scene<'_>) -> Option<Posterior> {
+        Some(self.reduced(scene, &self.variances)?.posterior(&self.state))
+    }
+
+    /// Steps until neither state nor variances move.
+    pub(super) fn settle(&mut self, scene: Scene<'_>, max_steps: usize) -> Option<()> {
+        self.here = None;
+        let basis = Rc::clone(&self.basis);
+        let scene = self.narrowed(scene, &basis);
+        for _ in 0..max_steps {
+            let posterior = self.posterior(scene)?;
+            let of = (scene.basis, scene.layout.len);
+            let (next, determined) =
+                posterior.updated(&self.system, &self.state, of, &self.variances);
+            let cost =
+                self.system.cost + self.variances.penalty(&self.state, scene.basis, scene.good);
+            let decrease = self.step(scene, &posterior, cost)?;
+            let changes = next.0.iter().zip(&self.variances.0).zip(&determined);
+            let changed = changes
+                .map(|((a, b), known)| (a.1 / b.1).ln().abs() * known.sqrt().min(1.0))
+                .fold(0.0, f64::max);
+            self.variances = next.with_stretch_as_others(scene.basis);
+            if changed < 0.1 && decrease < 0.03 * posterior.noise_square {
+                break;
+            }
+        }
+        Some(())
+    }
+
+    /// A step that lowers the penalized cost; answers by how much.
+    fn step(&mut self, scene: Scene<'_>, posterior: &Posterior, cost: f64) -> Option<f64> {
+        let mut part = 1.0;
+        for _ in 0..8 {
+            let next = self.stepped(scene, posterior, part);
+            let system = next.as_ref().and_then(|next| System::at(scene, next));
+            if let (Some(next), Some(system)) = (next, system) {
+                let at_next = system.cost + self.variances.penalty(&next, scene.basis, scene.good);
+                if at_next <= cost * (1.0 + 1e-9) {
+                    (self.state, self.system) = (next, system);
+                    return Some(cost - at_next);
+                }
+            }
+            part *= 0.5;
+        }
+        Some(0.0)
+    }
+
+    fn stepped(&self, scene: Scene<'_>, posterior: &Posterior, part: f64) -> Option<EffectsState> {
+        let mut next = self.state.clone();
+        let mut poses = vec![[0.0; 6]; next.fixed.rig_from_board.len()];
+        for (k, view) in self.system.views.iter().enumerate() {
+            let motion = posterior.motions.get(k).copied().unwrap_or_else(Vector6::zeros);
+            let step = view.pose_step(&posterior.global, &motion) * part;
+            poses[scene.observations[view.observation].frame_set] = step.into();
+            // The motion is carried with the pose, as its derivatives are.
+            let rotation =
+                nalgebra::UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(0).into_owned());
+            let own = &mut next.motions[view.observation];
+            *own += motion * part;
+            let rotated = |at: usize, own: &Vector6<f64>| -> Vector3<f64> {
+                rotation * own.fixed_rows::<3>(at).into_owned()
+            };
+            *own = pose_step(&rotated(0, own), &rotated(3, own));
+        }
+        let lens = scene.layout.len;
+        let global: Vec<f64> = posterior.global.iter().map(|step| step * part).collect();
+        next.fixed = self.state.fixed.stepped(scene.layout, &global[..lens], &poses)?;
+        next.shape.iter_mut().zip(&global[lens..]).for_each(|(u, step)| *u += step);
+        Some(next)
+    }
+
+    /// Takes out what is not missed; answers whether anything was.
+    fn drop_idle(&mut self, scene: Scene<'_>, wanted: Wanted) -> Option<bool> {
+        let basis = Rc::clone(&self.basis);
+        let scene = self.narrowed(scene, &basis);
+        let (idle, posterior) = self.idle(scene, wanted)?;
+        if idle.is_empty() {
+            self.here = Some(posterior);
+            return Some(false);
+        }
+        for effect in &idle {
+            self.variances = self.variances.without(*effect);
+            self.state.clear(*effect, &basis);
+        }
+        let left: Vec<Effect> = self.variances.0.iter().map(|(effect, _)| *effect).collect();
+        let (narrow, kept) = basis.only(&left);
+        self.state.shape = kept.iter().map(|k| self.state.shape[*k]).collect();
+        self.basis = Rc::new(narrow);
+        let basis = Rc::clone(&self.basis);
+        self.system = System::at(self.narrowed(scene, &basis), &self.state)?;
+        Some(true)
+    }
+
+    /// The effects that are not missed, with the posterior that says so.
+    fn idle(&self, scene: Scene<'_>, wanted: Wanted) -> Option<(Vec<Effect>, Posterior)> {
+        let reduced = self.reduced(scene, &self.variances)?;
+        let with = reduced.log_evidence(&self.state);
+        let of = (scene.basis, scene.layout.len);
+        let posterior = reduced.posterior(&self.state);
+        let gains = posterior.gains(&self.system, &self.state, of, &self.variances);
+        let mut idle: Vec<Effect> = Vec::new();
+        for motion in [true, false] {
+            let group: Vec<(Effect, f64)> = self
+                .variances
+                .0
+                .iter()
+                .zip(&gains)
+                .map(|((effect, _), gain)| (*effect, *gain))
+                .filter(|(effect, _)| effect.is_motion() == motion)
+                .collect();
+            let certain = if motion { wanted.motion_for_certain } else { wanted.shape_for_certain };
+            if group.is_empty() || certain {
+                continue;
+            }
+            let effects: Vec<Effect> = group.iter().map(|(effect, _)| *effect).collect();
+            let whole = with - self.log_evidence(scene, &self.variances.held(&effects))?;
+            let missed = |gain: &f64| whole >= LEAST_GROUP_GAIN && *gain >= LEAST_GAIN;
+            idle.extend(group.iter().filter(|(_, gain)| !missed(gain)).map(|(effect, _)| *effect));
+            // That views do not show a stretch is no proof that there is none: upright, a board's
+            // aspect is that of the pixels.
+            let is_kept = |effect: &Effect| *effect != Effect::Stretch && !idle.contains(effect);
+            if effects.iter().any(is_kept) {
+                idle.retain(|effect| *effect != Effect::Stretch);
+            }
+        }
+        Some((idle, posterior))
+    }
+
+    pub(super) fn log_evidence(&self, scene: Scene<'_>, variances: &Variances) -> Option<f64> {
+        Some(self.reduced(scene, variances)?.log_evidence(&self.state))
+    }
+}
