@@ -4,8 +4,10 @@
 use nalgebra::{DVector, RowDVector};
 
 use crate::calibration::scene::fitted_lens::LensFit;
-use crate::estimation::scene::focal_by_image::{FocalByImage, focal_by_image};
+use crate::estimation::scene::bundle::Bundle;
+use crate::estimation::scene::focal_by_image::{FocalByImage, separate_focals};
 use crate::estimation::scene::lens_prior::{FX, FY};
+use crate::estimation::scene::reconstruction::Reconstruction;
 
 /// Images that have another focal length than the others.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,9 +24,14 @@ pub(super) struct OtherFocals {
 /// changes as much with where it is focused.
 const LEAST_DIFFERENCE: f64 = 0.005;
 
-/// The two groups of images that differ most, where that is no chance.
-pub(super) fn other_focals(fit: &LensFit) -> Option<OtherFocals> {
-    let found = focal_by_image(&fit.fit.bundle, &fit.fit.state)?;
+/// The two groups of images that differ most, where that is no chance. All observations of `start`
+/// are asked: those of images by another focal length are wrong beside the others', and `fit` may
+/// have dropped them.
+pub(super) fn other_focals(start: &Reconstruction, fit: &LensFit) -> Option<OtherFocals> {
+    let bundle = Bundle { free: fit.fit.bundle.free.clone(), ..start.bundle.clone() };
+    let mut state = start.state.clone();
+    state.lens = fit.fit.state.lens;
+    let found = separate_focals(&bundle, &state)?;
     let count = found.log_ratios.len();
     if count < 3 {
         return None;

@@ -117,7 +117,7 @@ pub fn calibrate_scene(
     let fit = fit_lens(&start, options.lens, &options.given);
     goes_on()?;
     let mut fit = fit?;
-    let others = other_focals(&fit);
+    let others = other_focals(&start, &fit);
     if let Some(others) = &others {
         focal_lengths::widen(&mut fit, others);
     }

@@ -1,13 +1,17 @@
-//! The focal length of each image by itself, everything else as in the joint fit: one step of the
-//! problem in which each image has a factor on the focal length of its own. Of one camera with one
-//! lens setting all factors are 1 but for their noise.
+//! The focal length of each image by itself: the problem in which each image has a factor on the
+//! focal length of its own. Of one camera with one lens setting all factors are 1 but for their
+//! noise.
 
 use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, Vector2, Vector3};
 
-use crate::estimation::scene::bundle::{Bundle, CameraMotion, PixelRow, SceneState};
-use crate::estimation::scene::covariance::scale_parameter;
+use crate::estimation::scene::bundle::{
+    Bundle, BundleStop, CameraMotion, PixelRow, SceneObservation, SceneState,
+};
+use crate::estimation::scene::covariance::{lens_covariance, scale_parameter};
 use crate::estimation::scene::lens_prior::{FX, FY};
+use crate::estimation::scene::robust_bundle::{CAUCHY, fit_robustly};
 use crate::geometry::lens::MAX_PARAMETERS;
+use crate::geometry::pixel::Pixel;
 
 /// What each image says of its focal length.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,8 +26,64 @@ pub struct FocalByImage {
 /// problem solvable where the focal length of all is estimated too.
 const OPEN: f64 = 1.0;
 
-/// The focal lengths at the minimum `state` of `bundle`, whose observations have their true standard
-/// deviations; `None` where they are not determined.
+/// The fits after which each image has the focal length that it shows. Of eight photographs, half of
+/// them enlarged by 1.03 to 1.3, the third step was below 0.002.
+const FITS: usize = 4;
+
+/// A step of all logarithms below this is the last.
+const SETTLED: f64 = 1e-3;
+
+const FITTING: BundleStop = BundleStop { max_steps: 30, least_decrease: 1e-3 };
+
+/// The focal lengths that the images show where they may be far from one, beginning near `state`;
+/// `bundle` has all observations, also those that one focal length makes wrong. Each image is scaled
+/// about the principal point to the mean focal length, until that changes nothing.
+pub fn separate_focals(bundle: &Bundle, state: &SceneState) -> Option<FocalByImage> {
+    let mut scaled = bundle.clone();
+    let mut state = state.clone();
+    let mut log_ratios = DVector::zeros(state.cameras_from_scene.len());
+    for _ in 0..FITS {
+        scaled.rescaled(scaled.median_noise(&state));
+        scaled.robust_limit = CAUCHY;
+        state = scaled.minimize(state, FITTING);
+        // What was off may be near now: wrong observations count little only beside the true noise.
+        scaled.rescaled(scaled.median_noise(&state));
+        let step = focal_by_image(&scaled, &state)?.log_ratios;
+        let step = step.add_scalar(-step.mean());
+        log_ratios += &step;
+        scale_images(&mut scaled, bundle, (&state, &log_ratios));
+        if step.amax() < SETTLED {
+            break;
+        }
+    }
+    let mut last = fit_robustly(scaled, state, FITTING);
+    let shared = lens_covariance(&last.bundle, &last.state, 1.0)?.shared;
+    last.bundle.rescaled(shared.sqrt());
+    let found = focal_by_image(&last.bundle, &last.state)?;
+    Some(FocalByImage { log_ratios: log_ratios + found.log_ratios, ..found })
+}
+
+/// The observations of `bundle` as they were if all its images had one focal length.
+fn scale_images(
+    scaled: &mut Bundle,
+    bundle: &Bundle,
+    (state, log_ratios): (&SceneState, &DVector<f64>),
+) {
+    let center = state.lens.matrix;
+    let scaled_one = |seen: &SceneObservation| {
+        let scale = (-log_ratios[seen.camera]).exp();
+        Pixel::new(
+            center.cx + scale * (seen.pixel.x - center.cx),
+            center.cy + scale * (seen.pixel.y - center.cy),
+        )
+    };
+    let seen = bundle.observations.iter().flatten();
+    let scaled = scaled.observations.iter_mut().flatten();
+    scaled.zip(seen).for_each(|(scaled, seen)| scaled.pixel = scaled_one(seen));
+}
+
+/// The focal lengths by one step from the minimum `state` of `bundle`, whose observations have their
+/// true standard deviations; `None` where they are not determined.
 pub fn focal_by_image(bundle: &Bundle, state: &SceneState) -> Option<FocalByImage> {
     let mut free = bundle.free.clone();
     free.extend([FX, FY].into_iter().filter(|k| !bundle.free.contains(k)));
@@ -121,24 +181,39 @@ fn add_point(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::estimation::scene::bundle::BundleStop;
     use crate::estimation::scene::bundle_tests::exact;
-    use crate::geometry::pixel::Pixel;
+
+    fn enlarged(bundle: &mut Bundle, truth: &SceneState, (camera, by): (usize, f64)) {
+        let center = truth.lens.matrix;
+        let all = bundle.observations.iter_mut().flatten();
+        for seen in all.filter(|seen| seen.camera == camera) {
+            let Pixel { x, y } = seen.pixel;
+            seen.pixel =
+                Pixel::new(center.cx + by * (x - center.cx), center.cy + by * (y - center.cy));
+        }
+    }
+
+    #[test]
+    fn images_of_quite_other_focal_lengths_are_found() {
+        let (mut bundle, truth) = exact();
+        bundle.free = vec![FX, FY];
+        bundle.observations.iter_mut().flatten().for_each(|seen| seen.inverse_std *= 1e3);
+        enlarged(&mut bundle, &truth, (1, 1.3));
+        enlarged(&mut bundle, &truth, (2, 1.3));
+        let found = separate_focals(&bundle, &truth).unwrap();
+        let ratio = |k: usize| (found.log_ratios[k] - found.log_ratios[0]).exp();
+        for (k, expected) in [(1, 1.3), (2, 1.3), (3, 1.0)] {
+            assert!((ratio(k) / expected - 1.0).abs() < 1e-3, "image {k}: {}", ratio(k));
+        }
+    }
 
     #[test]
     fn an_image_of_another_focal_length_is_found() {
         let (mut bundle, truth) = exact();
         bundle.free = vec![FX, FY];
-        let center = truth.lens.matrix;
         // As exact as it takes for priors to say nothing beside: they know fx / fy to 0.2 %.
         bundle.observations.iter_mut().flatten().for_each(|seen| seen.inverse_std *= 1e3);
-        for seen in bundle.observations.iter_mut().flatten().filter(|seen| seen.camera == 2) {
-            let Pixel { x, y } = seen.pixel;
-            seen.pixel = Pixel::new(
-                center.cx + 1.0002 * (x - center.cx),
-                center.cy + 1.0002 * (y - center.cy),
-            );
-        }
+        enlarged(&mut bundle, &truth, (2, 1.0002));
         let stop = BundleStop { max_steps: 60, least_decrease: 1e-12 };
         let state = bundle.minimize(truth, stop);
         let found = focal_by_image(&bundle, &state).unwrap();

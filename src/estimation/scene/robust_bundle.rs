@@ -12,7 +12,7 @@ const ROUNDS: usize = 4;
 
 /// Cauchy's limit while wrong observations are still among the others, in standard deviations
 /// (95 % efficient where none are).
-const CAUCHY: f64 = 2.4;
+pub(super) const CAUCHY: f64 = 2.4;
 
 /// The median of a squared length whose two coordinates have unit variance.
 const MEDIAN_SQUARE: f64 = 2.0 * std::f64::consts::LN_2;
