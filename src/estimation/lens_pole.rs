@@ -12,6 +12,7 @@ const POLE_STEPS: i32 = 400;
 
 /// How far below 0 squared radii are asked about, as a part of the farthest one, or of 1 (45° off
 /// the axis) where that is less. No pixel has those, but a zero there makes a cusp of the center.
+/// Equidistant, stereographic, equisolid and orthographic lenses are singular at -1 alone.
 const BELOW_CENTER: f64 = 0.1;
 
 /// Whether the denominator of a rational lens comes near 0 somewhere in the image. Views that do

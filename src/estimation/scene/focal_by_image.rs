@@ -26,11 +26,11 @@ pub struct FocalByImage {
 /// problem solvable where the focal length of all is estimated too.
 const OPEN: f64 = 1.0;
 
-/// The fits after which each image has the focal length that it shows. Of eight photographs, half of
-/// them enlarged by 1.03 to 1.3, the third step was below 0.002.
+/// A guard: fits end before where a step is below [`SETTLED`]. Images enlarged by up to 1.3 have the
+/// focal length that they show after as many.
 const FITS: usize = 4;
 
-/// A step of all logarithms below this is the last.
+/// A step of all logarithms below this is the last: a fifth of the least difference that is named.
 const SETTLED: f64 = 1e-3;
 
 const FITTING: BundleStop = BundleStop { max_steps: 30, least_decrease: 1e-3 };
