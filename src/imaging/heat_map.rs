@@ -70,11 +70,12 @@ pub fn draw_heat_map(map: &GridValues<'_>, caption: &str) -> RgbImage {
         CONTOUR
     });
     let mut taken: Vec<(u32, u32)> = Vec::new();
+    let caption_size = label_size(caption, LETTERING);
     for (level, crossing) in levels.iter().zip(&crossings) {
-        write_on_contour(&mut image, &short(*level), crossing, &mut taken);
+        write_on_contour(&mut image, &short(*level), crossing, (caption_size, &mut taken));
     }
-    let [_, high] = label_size(caption, LETTERING);
-    draw_label(&mut image, caption, (0, height.saturating_sub(high)), (INK, CONTOUR, LETTERING));
+    let top = height.saturating_sub(caption_size[1]);
+    draw_label(&mut image, caption, (0, top), (INK, CONTOUR, LETTERING));
     image
 }
 
@@ -128,18 +129,22 @@ fn short(level: f64) -> String {
     }
 }
 
-/// Writes a label where its contour is farthest from those that are written already, and wholly
-/// inside the image.
+/// Writes a label where its contour is farthest from those that are written already, wholly inside
+/// the image and clear of the caption, which has the lower left corner.
 fn write_on_contour(
     image: &mut RgbImage,
     text: &str,
     contour: &[(u32, u32)],
-    taken: &mut Vec<(u32, u32)>,
+    (caption_size, taken): ([u32; 2], &mut Vec<(u32, u32)>),
 ) {
     let [width, height] = label_size(text, LETTERING);
     let fits = |at: u32, length: u32, of: u32| at >= length / 2 && at - length / 2 + length <= of;
     let inside = |place: &&(u32, u32)| {
         fits(place.0, width, image.width()) && fits(place.1, height, image.height())
+    };
+    let beside_caption = |place: &&(u32, u32)| {
+        let (left, bottom) = (place.0 - width / 2, place.1 - height / 2 + height);
+        left >= caption_size[0] || bottom + caption_size[1] <= image.height()
     };
     let distance = |place: &(u32, u32)| {
         let far = |other: &(u32, u32)| {
@@ -148,7 +153,8 @@ fn write_on_contour(
         taken.iter().map(far).min().unwrap_or(u32::MAX)
     };
     // The first of those that are equally far.
-    let best = contour.iter().filter(inside).rev().max_by_key(|place| distance(place)).copied();
+    let free = contour.iter().filter(inside).filter(beside_caption);
+    let best = free.rev().max_by_key(|place| distance(place)).copied();
     let clear = |place: &(u32, u32)| {
         taken
             .iter()
@@ -211,6 +217,23 @@ mod tests {
         assert!(light(2) < 250 && light(798) > 400, "{} {}", light(2), light(798));
         assert!((0..800).any(|x| image.get_pixel(x, 300) == &CONTOUR));
         assert!(image.pixels().filter(|pixel| **pixel == INK).count() > 500, "labels");
+    }
+
+    #[test]
+    fn a_contour_below_the_caption_has_its_label_beside_it() {
+        let mut image = RgbImage::from_pixel(200, 100, BLIND);
+        let caption_size = label_size("1 sigma px", LETTERING);
+        let [width, height] = label_size("0.05", LETTERING);
+        let beside = (caption_size[0] + width / 2, 100 - height + height / 2);
+        let mut taken = Vec::new();
+        let mut write = |contour: &[(u32, u32)]| {
+            write_on_contour(&mut image, "0.05", contour, (caption_size, &mut taken));
+            taken.clone()
+        };
+        assert!(write(&[(beside.0 - 1, beside.1)]).is_empty());
+        assert_eq!(write(&[(beside.0 - 1, beside.1), beside]), [beside]);
+        let above = (width / 2, 99 - caption_size[1] - height);
+        assert_eq!(write(&[above]), [beside, above]);
     }
 
     #[test]
