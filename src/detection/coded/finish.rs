@@ -268,11 +268,11 @@ impl TargetDetector {
         let mut corners: Vec<LabeledCorner> = Vec::with_capacity(self.guesses.len());
         for (guess, refined) in self.guesses.iter().zip(&self.refined) {
             let GridIndex { col: i, row: j } = guess.index;
-            if self.grid.get(i, j).is_none() {
-                continue;
-            }
+            // Of one that is not refined, where it was found the last time.
+            let Some(found) = self.grid.pixel(i, j) else { continue };
             blurs.extend(refined.map(|refined| refined.blur_px));
-            let pixel = refined.map_or(guess.pixel, |refined| refined.pixel);
+            let found = Pixel::new(f64::from(found.x), f64::from(found.y));
+            let pixel = refined.map_or(found, |refined| refined.pixel);
             let std_px = refined
                 .map_or(self.thresholds.marker_corners.standing_std_px, |refined| refined.std_px);
             corners.push(self.labeled(label, guess.index, (pixel, std_px)));
