@@ -1,11 +1,15 @@
 //! Whether a calibration still explains the boards that are seen now.
 //!
-//! Each board's pose is fitted under the calibrated lens. The residuals of several views, beyond
-//! those of the calibration's own views, measure how far the lens has moved; the limit is the
-//! calibration's own uncertainty. It costs one pose fit for each accepted view of a session.
+//! Each board's pose is fitted under the calibrated lens, with the board's shape as it was measured
+//! with that lens. The residuals of several views, beyond those of the calibration's own views and
+//! beyond the motion of the board while rows are read, measure how far the lens has moved; the limit
+//! is the calibration's own uncertainty. It costs one pose fit for each accepted view of a session.
+
+use nalgebra::{Point3, Vector3};
 
 use crate::calibration::result::ImageCalibration;
 use crate::estimation::board_pose::board_poses;
+use crate::estimation::measured_board::{MeasuredBoard, RollingShutter};
 use crate::estimation::problem::BoardView;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
@@ -23,6 +27,8 @@ pub struct DriftWatch {
     calibration: String,
     image_size: ImageSize,
     lens: Lens,
+    board_shape: Option<MeasuredBoard>,
+    rolling_shutter: Option<RollingShutter>,
     expected_px: f64,
     limit_px: f64,
     /// Root mean square misfit of each view so far, in pixels.
@@ -37,8 +43,9 @@ pub struct Drift {
     pub calibration: String,
     /// What has changed and what to do, in words.
     pub reason: String,
-    /// The reprojection error of the boards seen, with only their poses fitted, in pixels; `None`
-    /// where images of another size cannot be compared.
+    /// The reprojection error of the boards seen, with only their poses fitted and without the motion
+    /// that the calibration's own views showed while rows were read, in pixels; `None` where images
+    /// of another size cannot be compared.
     pub rms_px: Option<f64>,
     /// What the calibration had when it was made, in pixels.
     pub expected_px: f64,
@@ -52,6 +59,8 @@ impl DriftWatch {
             calibration: calibration.to_owned(),
             image_size: sensor.image_size,
             lens: sensor.lens,
+            board_shape: sensor.board_shape.clone(),
+            rolling_shutter: sensor.rolling_shutter,
             expected_px: sensor.rms_px,
             limit_px: uncertain_px.max(LEAST_LIMIT_PX).max(sensor.rms_px),
             misfits_px: Vec::new(),
@@ -72,7 +81,7 @@ impl DriftWatch {
             return Some(self.report(reason, None));
         }
         // A view that determines no pose says nothing about the lens.
-        self.misfits_px.push(board_poses(&self.lens, view).ok()?.first()?.rms_px);
+        self.misfits_px.push(self.misfit_px(view)?);
         if self.misfits_px.len() < VIEWS {
             return None;
         }
@@ -91,6 +100,27 @@ impl DriftWatch {
         Some(self.report(reason, Some(rms_px)))
     }
 
+    /// Root mean square residual of a view at its best pose, in pixels.
+    fn misfit_px(&self, view: &BoardView) -> Option<f64> {
+        let mut view = view.clone();
+        if let Some(board) = &self.board_shape {
+            for corner in &mut view.correspondences {
+                *corner = corner.placed_on(board);
+            }
+        }
+        let pose = board_poses(&self.lens, &view).ok()?.into_iter().next()?;
+        let middle =
+            view.correspondences.iter().map(|c| c.point_in_board.coords).sum::<Vector3<f64>>()
+                / view.correspondences.len().max(1) as f64;
+        let distance_m = (pose.camera_from_board * Point3::from(middle)).coords.norm();
+        let motion_px = self.rolling_shutter.map_or(0.0, |shutter| {
+            // Rows are read evenly over the motion, whose rms about its mean is 1/sqrt(12) of it.
+            let angle_rad = (shutter.translation_m / distance_m).hypot(shutter.rotation_rad);
+            shutter.agreement * self.lens.matrix.fy * angle_rad / 12_f64.sqrt()
+        });
+        Some((pose.rms_px.powi(2) - motion_px.powi(2)).max(0.0).sqrt())
+    }
+
     fn report(&mut self, reason: String, rms_px: Option<f64>) -> Drift {
         self.reported = true;
         Drift {
@@ -104,7 +134,7 @@ impl DriftWatch {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{UnitQuaternion, Vector3};
+    use nalgebra::UnitQuaternion;
 
     use super::*;
     use crate::calibration::result::ProjectionUncertainty;
@@ -120,8 +150,18 @@ mod tests {
             .unwrap()
     }
 
-    /// A tilted board as `lens` shows it, without noise.
+    /// How far a board that is bowed by 1 mm is from flat at a point of it, in meters.
+    fn bow(point_in_board: &Point3<f64>) -> Vector3<f64> {
+        let from_middle = (point_in_board.x - 0.12) / 0.12;
+        Vector3::new(0.0, 0.0, 1e-3 * (1.0 - from_middle * from_middle))
+    }
+
+    /// A tilted board as `lens` shows it, without noise; a flat one.
     fn view(lens: &Lens, k: usize) -> BoardView {
+        uneven_view(lens, k, |_| Vector3::zeros())
+    }
+
+    fn uneven_view(lens: &Lens, k: usize, offset_m: fn(&Point3<f64>) -> Vector3<f64>) -> BoardView {
         let board = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.03).unwrap();
         let rotation = Vector3::new(0.5 - 0.2 * k as f64, 0.1 + 0.15 * k as f64, 0.1);
         let translation = Vector3::new(-0.12 + 0.02 * k as f64, -0.08, 0.4);
@@ -129,15 +169,20 @@ mod tests {
         let corners = (0..6).flat_map(|row| (0..9).map(move |col| (col, row)));
         let correspondences = corners.map(|(col, row)| {
             let point_in_board = board.corner_in_board(col, row);
-            let pixel = lens.pixel_from_point(&(camera_from_board * point_in_board)).unwrap();
+            let place = point_in_board + offset_m(&point_in_board);
+            let pixel = lens.pixel_from_point(&(camera_from_board * place)).unwrap();
             Correspondence { point_in_board, pixel, std_px: 0.05 }
         });
         BoardView { name: k.to_string(), correspondences: correspondences.collect() }
     }
 
     fn watch(lens: Lens) -> DriftWatch {
+        DriftWatch::new("c1", &calibration(lens))
+    }
+
+    fn calibration(lens: Lens) -> ImageCalibration {
         let uncertainty_px = ProjectionUncertainty { center: 0.02, median: 0.05, worst: 0.3 };
-        let sensor = ImageCalibration {
+        ImageCalibration {
             image_size: SIZE,
             lens,
             lens_std: Vec::new(),
@@ -150,8 +195,7 @@ mod tests {
             board_shape: None,
             rolling_shutter: None,
             scene: None,
-        };
-        DriftWatch::new("c1", &sensor)
+        }
     }
 
     #[test]
@@ -171,6 +215,54 @@ mod tests {
         let drift = reports[VIEWS - 1].as_ref().unwrap();
         assert!(drift.rms_px.unwrap() > 0.2, "{drift:?}");
         assert_eq!((drift.calibration.as_str(), drift.expected_px), ("c1", 0.06));
+    }
+
+    #[test]
+    fn a_board_that_was_measured_uneven_is_no_drift() {
+        let lens = lens(600.0, -0.1);
+        let points: Vec<Point3<f64>> =
+            view(&lens, 0).correspondences.iter().map(|c| c.point_in_board).collect();
+        let offsets_m: Vec<Vector3<f64>> = points.iter().map(bow).collect();
+        let std_m = vec![Vector3::repeat(1e-5); points.len()];
+        let measured = MeasuredBoard {
+            points,
+            offsets_m,
+            std_m,
+            unevenness_m: 5e-4,
+            unevenness_std_m: 1e-5,
+            bow_m: [1e-3, 0.0],
+        };
+        let reports = |board_shape: Option<MeasuredBoard>| {
+            let mut watch =
+                DriftWatch::new("c1", &ImageCalibration { board_shape, ..calibration(lens) });
+            (0..8).filter_map(|k| watch.see(&uneven_view(&lens, k % 5, bow), SIZE)).count()
+        };
+        assert_eq!(reports(Some(measured)), 0);
+        assert_eq!(reports(None), 1, "taken for a flat one");
+    }
+
+    /// Each row sees the board where it is while that row is read.
+    fn moving_view(lens: &Lens, k: usize, motion_m: f64) -> BoardView {
+        let mut view = view(lens, k);
+        let fy = lens.matrix.fy;
+        for corner in &mut view.correspondences {
+            let row = corner.pixel.y / f64::from(SIZE.height) - 0.5;
+            corner.pixel.x += fy * motion_m / 0.4 * row;
+        }
+        view
+    }
+
+    #[test]
+    fn motion_while_rows_are_read_is_no_drift_where_the_calibration_had_it_too() {
+        let lens = lens(600.0, -0.1);
+        let reports = |rolling_shutter: Option<RollingShutter>| {
+            let sensor = ImageCalibration { rolling_shutter, ..calibration(lens) };
+            let mut watch = DriftWatch::new("c1", &sensor);
+            (0..8).filter_map(|k| watch.see(&moving_view(&lens, k % 5, 4e-3), SIZE)).count()
+        };
+        let shutter = RollingShutter { translation_m: 4e-3, rotation_rad: 0.0, agreement: 1.0 };
+        assert_eq!(reports(Some(shutter)), 0);
+        assert_eq!(reports(None), 1, "taken for a global shutter");
     }
 
     #[test]

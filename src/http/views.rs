@@ -10,10 +10,11 @@ use axum::response::IntoResponse;
 
 use crate::calibration::result::{CalibratedView, Calibration, ImageCalibration};
 use crate::calibration::sensor::SensorId;
-use crate::detection::board_detection::Detection;
+use crate::detection::board_detection::{DetectedCorner, Detection, GridIndex};
 use crate::document::pose::PoseDocument;
 use crate::document::session::{SessionViewDocument, SessionViewsDocument};
 use crate::document::time;
+use crate::geometry::board::BoardSize;
 use crate::geometry::target::Target;
 use crate::http::pages::{PageParameters, PageRefusals};
 use crate::http::problem::Problem;
@@ -151,7 +152,9 @@ fn view_document(
     })
 }
 
-/// Seen minus predicted, corner by corner; `None` for a view without a pose.
+/// Seen minus predicted, corner by corner, on the board as it was measured; `None` for a view without
+/// a pose. Motion while rows were read is not predicted. A rig's solve may have rotated the labels
+/// of a board that is alike both ways by half a turn: those that fit are meant.
 fn residuals_px(
     detection: &Detection,
     sensor: &ImageCalibration,
@@ -159,11 +162,21 @@ fn residuals_px(
     target: Target,
 ) -> Option<Vec<[f64; 2]>> {
     let camera_from_board = calibrated.camera_from_board?;
-    let corners = detection.corners.iter();
-    let residual = |corner: &crate::detection::board_detection::DetectedCorner| {
-        let point_in_board = target.corner_at(corner.index.col, corner.index.row)?;
-        let predicted = sensor.lens.pixel_from_point(&(camera_from_board * point_in_board))?;
+    let residual = |corner: &DetectedCorner, is_rotated: bool| {
+        let (BoardSize { cols, rows }, GridIndex { col, row }) = (target.lattice(), corner.index);
+        let rotated = (cols as i32 - 1 - col, rows as i32 - 1 - row);
+        let (col, row) = if is_rotated { rotated } else { (col, row) };
+        let point_in_board = target.corner_at(col, row)?;
+        let measured = sensor.board_shape.as_ref().and_then(|b| b.offset_at(&point_in_board));
+        let place = point_in_board + measured.unwrap_or_default();
+        let predicted = sensor.lens.pixel_from_point(&(camera_from_board * place))?;
         Some([corner.pixel.x - predicted.x, corner.pixel.y - predicted.y])
     };
-    corners.map(residual).collect()
+    let all = |is_rotated: bool| -> Option<Vec<[f64; 2]>> {
+        detection.corners.iter().map(|corner| residual(corner, is_rotated)).collect()
+    };
+    let square =
+        |residuals: &Vec<[f64; 2]>| -> f64 { residuals.iter().flatten().map(|r| r * r).sum() };
+    let either = [false, true].into_iter().filter_map(all);
+    either.min_by(|a, b| square(a).total_cmp(&square(b)))
 }

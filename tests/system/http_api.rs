@@ -228,16 +228,30 @@ fn a_session_runs_from_start_to_calibration() {
     assert_eq!(stopped.status, 200, "{}", stopped.text());
     let finished = stopped.json();
     assert_eq!(finished["state"], "finished", "{finished}");
-    has_fields(&finished["estimate"], &["lens", "rms_px", "uncertainty_px"]);
+    let calibration = finished["calibration"].as_str().unwrap();
+    let calibration = served.get(&format!("/v1/calibrations/{calibration}")).json();
+    for figure in ["lens", "rms_px", "uncertainty_px"] {
+        let solved = &calibration["sensors"]["color"][figure];
+        assert_eq!(&finished["estimate"][figure], solved, "{figure}: the estimate is the solve's");
+    }
     is_problem(&served.post_nothing(&format!("{path}/stop")), 409);
     is_problem(&served.delete(&path), 409);
 
     let views = served.get(&format!("{path}/views")).json();
     let views = views["views"].as_array().unwrap();
     assert_eq!(views.len() as u64, finished["views_kept"].as_u64().unwrap());
+    let square = |number: &Value| number.as_f64().unwrap().powi(2);
     for (n, view) in views.iter().enumerate() {
         has_fields(view, &["n", "name", "rms_px", "residuals_px", "used", "reason", "picture"]);
         assert_eq!(view["n"], n);
+        if let (Some(rms_px), Some(residuals)) =
+            (view["rms_px"].as_f64(), view["residuals_px"].as_array())
+        {
+            let squares: f64 =
+                residuals.iter().flat_map(|r| r.as_array().unwrap()).map(square).sum();
+            let own_rms_px = (squares / residuals.len() as f64).sqrt();
+            assert!((own_rms_px - rms_px).abs() < 1e-3, "view {n}: {own_rms_px}, stated {rms_px}");
+        }
         assert_eq!(view["picture"], format!("{path}/views/{n}.jpg"));
     }
     let page = served.get(&format!("{path}/views?limit=2&cursor=1"));
