@@ -80,7 +80,11 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         write_file(path, json.as_bytes())?;
     }
     if let Some(path) = &args.points {
-        write_file(path, &to_ply(&cloud(&calibration), "scene"))?;
+        let units = match calibration.scale {
+            Some(_) => "meters",
+            None => "parts of the greatest distance between two cameras",
+        };
+        write_file(path, &to_ply(&cloud(&calibration), (units, "scene")))?;
     }
     if let Some(folder) = &args.colmap {
         write_colmap(folder, &calibration)?;

@@ -20,7 +20,7 @@ pub struct ChooseArgs {
     choose: Option<u32>,
     /// Print, in place of the calibration, the images in the order in which each teaches most
     /// beside those before it, and the view that would teach most next.
-    #[arg(long)]
+    #[arg(long, conflicts_with_all = ["out", "format"])]
     order: bool,
 }
 

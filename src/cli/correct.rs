@@ -185,7 +185,10 @@ fn correct(
     if needs_color(args) {
         let depths = registration.depths_m(image, invalid);
         if args.cloud {
-            write(format!("{name}.ply"), &to_ply(&registration.points(&depths, color), "color"))?;
+            write(
+                format!("{name}.ply"),
+                &to_ply(&registration.points(&depths, color), ("meters", "color")),
+            )?;
         }
         if args.register.as_deref() == Some("depth") {
             let color = color
@@ -257,6 +260,7 @@ fn encode_png(image: &RgbImage) -> Result<Vec<u8>, String> {
 fn report(args: &Args, written: Vec<CorrectedImage>, failures: &[String]) -> Result<(), Failure> {
     let (count, beyond) =
         (written.len(), written.iter().map(|one| one.beyond_calibrated_range).sum::<usize>());
+    let too_far: usize = written.iter().map(|one| one.too_far_for_unit).sum();
     let off: Vec<[f64; 2]> =
         written.iter().filter_map(|one| Some(one.off_board?.rms_m())).collect();
     if args.json {
@@ -266,10 +270,17 @@ fn report(args: &Args, written: Vec<CorrectedImage>, failures: &[String]) -> Res
             written,
         })?;
     } else if count > 0 {
-        output::print_line(&format!("{}: {count} corrected depth images", args.out.display()))?;
+        let images = if count == 1 { "image" } else { "images" };
+        output::print_line(&format!("{}: {count} corrected depth {images}", args.out.display()))?;
         if beyond > 0 {
             output::print_line(&format!(
                 "{beyond} readings lie beyond the distances that were calibrated: corrected as at the nearest"
+            ))?;
+        }
+        if too_far > 0 {
+            output::print_line(&format!(
+                "{too_far} readings are too far for --unit {}, and are not in the images: give a larger unit",
+                args.unit
             ))?;
         }
         if args.errors {

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde::de::DeserializeOwned;
 
-use crate::calibration::result::Calibration;
+use crate::calibration::result::{Calibration, ImageCalibration};
 use crate::cli::Failure;
 use crate::document::calibration::CalibrationDocument;
 use crate::document::reading::from_json;
@@ -31,7 +31,34 @@ pub fn read_calibration(path: &Path) -> Result<Calibration, Failure> {
         .map_err(|error| Failure::failed(format!("{}: {error}", path.display())))
 }
 
-/// Writes a file whole or not at all: beside its name first, then into place.
+/// The image sensor of a calibration that is asked for by its name, as `camera` or `camera.sensor` of
+/// a rig; without a name, that of an instrument that is one camera. `file` is where it was read.
+///
+/// # Errors
+/// When there is no such sensor, or several and none is asked for.
+pub fn image_sensor<'a>(
+    calibration: &'a Calibration,
+    asked: Option<&str>,
+    file: &str,
+) -> Result<&'a ImageCalibration, Failure> {
+    let named =
+        || calibration.image_sensors().map(|(id, sensor)| (calibration.name_of(id), sensor));
+    let known = named().map(|(name, _)| name).collect::<Vec<_>>().join(", ");
+    let found = match asked {
+        Some(asked) => named().find(|(name, _)| name == asked).map(|(_, sensor)| sensor),
+        None => calibration.guide(),
+    };
+    found.ok_or_else(|| {
+        Failure::failed(match asked {
+            _ if known.is_empty() => format!("{file}: calibrates no image sensor"),
+            Some(asked) => format!("{file}: there is no image sensor `{asked}`; it has {known}"),
+            None => format!("{file}: holds several cameras: give --sensor, one of {known}"),
+        })
+    })
+}
+
+/// Writes a file whole or not at all: beside its name first, then into place. A link stays, and what
+/// it leads to is written; so does a device or a pipe, which is written to.
 ///
 /// # Errors
 /// When the folder cannot be written to.
@@ -42,8 +69,45 @@ pub fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
             path.display()
         ))
     };
-    let mut beside = path.as_os_str().to_owned();
+    let file = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    let before = fs::metadata(&file).ok();
+    if before.as_ref().is_some_and(|before| !before.is_file()) {
+        return fs::write(&file, bytes).map_err(cannot);
+    }
+    let mut beside = file.as_os_str().to_owned();
     beside.push(".part");
     fs::write(&beside, bytes).map_err(cannot)?;
-    fs::rename(&beside, path).map_err(cannot)
+    if let Some(before) = before {
+        fs::set_permissions(&beside, before.permissions()).map_err(cannot)?;
+    }
+    fs::rename(&beside, &file).map_err(cannot)
+}
+
+#[cfg(unix)]
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::{PermissionsExt, symlink};
+
+    use super::*;
+
+    #[test]
+    fn links_stay_and_so_do_permissions() {
+        let folder = tempfile::tempdir().unwrap();
+        let [file, link] = ["file.json", "link.json"].map(|name| folder.path().join(name));
+        write_file(&file, b"before").unwrap();
+        fs::set_permissions(&file, fs::Permissions::from_mode(0o640)).unwrap();
+        symlink(&file, &link).unwrap();
+        write_file(&link, b"after").unwrap();
+        assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
+        assert_eq!(fs::read(&file).unwrap(), b"after");
+        assert_eq!(fs::metadata(&file).unwrap().permissions().mode() & 0o777, 0o640);
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2, "nothing beside them");
+    }
+
+    #[test]
+    fn a_device_is_written_to_and_a_folder_is_none() {
+        write_file(Path::new("/dev/null"), b"nothing").unwrap();
+        assert!(!fs::metadata("/dev/null").unwrap().is_file());
+        assert!(write_file(tempfile::tempdir().unwrap().path(), b"nothing").is_err());
+    }
 }

@@ -1,5 +1,7 @@
 //! From searched images to the views of a calibration.
 
+use std::collections::BTreeMap;
+
 use crate::calibration::admission::{AdmissionOptions, Rejection};
 use crate::calibration::result::CalibratedView;
 use crate::calibration::session::Session;
@@ -12,12 +14,16 @@ use crate::cli::search_args::SearchArgs;
 use crate::cli::sources::{FrameSets, Unreadable};
 use crate::cli::{Failure, progress};
 use crate::detection::board_detection::{BoardMarkers, Detection};
-use crate::estimation::problem::{BoardView, CameraProblem, LensChoice};
+use crate::estimation::problem::{BoardView, CameraProblem, Correspondence, LensChoice};
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::target::Target;
 
 /// Fewer corners do not determine a board's pose and say anything about the lens.
 const LEAST_CORNERS: usize = 6;
+
+/// Views whose corners are all nearer to each other than this, in the standard deviations of their
+/// differences, are one view: of a few hundred differences by chance none is larger.
+const SAME_STDS: f64 = 5.0;
 
 /// What the images amount to. An image that was chosen by hand (a file, one of a folder) is a
 /// view if the board is seen in it; frames of a recording go through a session, which keeps the
@@ -32,7 +38,8 @@ pub struct ImageGathering {
     images: Vec<Result<BoardView, (String, String)>>,
     session: Option<(String, Session)>,
     searched: usize,
-    first_reason: Option<String>,
+    /// Of images without the target: why, and the line that names the image too.
+    reasons: Vec<(String, String)>,
     /// Of the first image that shows the target.
     markers: Option<BoardMarkers>,
 }
@@ -46,7 +53,7 @@ impl ImageGathering {
             images: Vec::new(),
             session: None,
             searched: 0,
-            first_reason: None,
+            reasons: Vec::new(),
             markers: None,
         }
     }
@@ -62,18 +69,15 @@ impl ImageGathering {
                 self.check_size(&image)?;
                 let seen = image.answer.as_ref().ok();
                 self.markers = self.markers.or(seen.and_then(|seen| seen.markers));
-                self.note_reason(
-                    image
-                        .answer
-                        .as_ref()
-                        .err()
-                        .map(|no_board| format!("{}: {no_board}", image.path)),
-                );
+                if let Err(no_board) = &image.answer {
+                    let reason = no_board.to_string();
+                    self.reasons.push((reason.clone(), format!("{}: {reason}", image.path)));
+                }
                 if image.recording.is_some() { self.observe(&image) } else { self.take(image) }
             }
             Err(Unreadable { path, reason }) => {
                 self.end_recording();
-                self.note_reason(Some(reason.clone()));
+                self.reasons.push((reason.clone(), reason.clone()));
                 self.images.push(Err((path, reason)));
             }
         }
@@ -87,6 +91,7 @@ impl ImageGathering {
     /// When the board was seen in none.
     pub fn finish(mut self) -> Result<(CameraProblem, Vec<(usize, CalibratedView)>), Failure> {
         self.end_recording();
+        let (count, line) = self.commonest_reason();
         let (mut views, mut others) = (Vec::new(), Vec::new());
         for (place, image) in self.images.into_iter().enumerate() {
             match image {
@@ -94,14 +99,15 @@ impl ImageGathering {
                 Err((name, reason)) => others.push((place, unused(name, reason))),
             }
         }
-        let first = self.first_reason.unwrap_or_default();
+        let which =
+            if count > 1 { format!("most often ({count})") } else { "the first".to_owned() };
         match self.size {
             Some((_, image_size)) if !views.is_empty() => {
                 Ok((CameraProblem { image_size, views }, others))
             }
-            _ if self.searched == 1 => Err(Failure::failed(first)),
+            _ if self.searched == 1 => Err(Failure::failed(line)),
             _ => Err(Failure::failed(format!(
-                "no {} was seen in any of {} images; the first: {first}",
+                "no {} was seen in any of {} images; {which}: {line}",
                 self.target, self.searched
             ))),
         }
@@ -124,10 +130,15 @@ impl ImageGathering {
         )))
     }
 
-    fn note_reason(&mut self, reason: Option<String>) {
-        if self.first_reason.is_none() {
-            self.first_reason = reason;
+    /// How many images had the commonest reason, and the line of the first of them.
+    fn commonest_reason(&self) -> (usize, String) {
+        let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
+        for (reason, _) in &self.reasons {
+            *counts.entry(reason).or_default() += 1;
         }
+        let most = counts.values().copied().max().unwrap_or(0);
+        let first = self.reasons.iter().find(|(reason, _)| counts[reason.as_str()] == most);
+        (most, first.map_or_else(String::new, |(_, line)| line.clone()))
     }
 
     fn take(&mut self, image: SearchedImage) {
@@ -139,7 +150,15 @@ impl ImageGathering {
             }
             Ok(detection) => {
                 let view = View { number: 0, frame: image.frame, detection };
-                Ok(BoardView { name, ..view.to_board_view(&self.target) })
+                let view = BoardView { name, ..view.to_board_view(&self.target) };
+                let mut earlier = self.images.iter().flatten();
+                match earlier.find(|earlier| is_same(earlier, &view)) {
+                    Some(earlier) => Err((
+                        view.name,
+                        format!("the same view as {}: it counts once", earlier.name),
+                    )),
+                    None => Ok(view),
+                }
             }
             Err(no_board) => Err((name, no_board.to_string())),
         });
@@ -203,5 +222,45 @@ pub(super) fn unused(name: String, reason: String) -> CalibratedView {
         rms_px: None,
         camera_from_board: None,
         camera_from_scene: None,
+    }
+}
+/// Whether two images show the board in one place: copies of an image, or a camera and a board that
+/// stood still. Model errors are alike in both, so that they are no two independent views.
+fn is_same(one: &BoardView, other: &BoardView) -> bool {
+    let is_near = |(a, b): (&Correspondence, &Correspondence)| {
+        let limit_px = SAME_STDS * a.std_px.hypot(b.std_px);
+        a.point_in_board == b.point_in_board
+            && (a.pixel.x - b.pixel.x).abs() <= limit_px
+            && (a.pixel.y - b.pixel.y).abs() <= limit_px
+    };
+    one.correspondences.len() == other.correspondences.len()
+        && one.correspondences.iter().zip(&other.correspondences).all(is_near)
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Point3;
+
+    use super::*;
+    use crate::geometry::pixel::Pixel;
+
+    fn view(offset_px: impl Fn(usize) -> f64) -> BoardView {
+        let corner = |k: usize| Correspondence {
+            point_in_board: Point3::new(0.03 * k as f64, 0.0, 0.0),
+            pixel: Pixel::new(40.0 * k as f64 + offset_px(k), 100.0),
+            std_px: 0.05,
+        };
+        BoardView { name: "a".to_owned(), correspondences: (0..8).map(corner).collect() }
+    }
+
+    #[test]
+    fn copies_and_images_that_differ_by_noise_are_one_view() {
+        let noise = view(|k| if k % 2 == 0 { 0.15 } else { -0.15 });
+        assert!(is_same(&view(|_| 0.0), &view(|_| 0.0)) && is_same(&view(|_| 0.0), &noise));
+        let moved = view(|k| if k == 7 { 1.0 } else { 0.0 });
+        assert!(!is_same(&view(|_| 0.0), &moved));
+        let mut fewer = view(|_| 0.0);
+        fewer.correspondences.pop();
+        assert!(!is_same(&view(|_| 0.0), &fewer));
     }
 }

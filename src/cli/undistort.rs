@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use crate::cli::files::{read_calibration, write_file};
+use crate::cli::files::{image_sensor, read_calibration, write_file};
 use crate::cli::result_image::{png, result_name};
 use crate::cli::sources::{FrameSets, SourcedFrames, TopicArgs};
 use crate::cli::{Failure, output, progress};
@@ -27,6 +27,9 @@ pub struct Args {
     /// names
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    /// Whose images they are, where the calibration has several cameras or sensors
+    #[arg(long, value_name = "NAME")]
+    sensor: Option<String>,
     /// 0: every pixel of a result is seen; 1: everything that was seen is in the result
     #[arg(long, default_value_t = 0.0)]
     balance: f64,
@@ -67,10 +70,8 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         )));
     }
     let calibration = read_calibration(&args.calibration)?;
-    let file = args.calibration.display();
-    let color = calibration
-        .color()
-        .ok_or_else(|| Failure::failed(format!("{file}: calibrates no image sensor")))?;
+    let file = args.calibration.display().to_string();
+    let color = image_sensor(&calibration, args.sensor.as_deref(), &file)?;
     let options = UndistortOptions { balance: args.balance, size: None };
     let undistortion = Undistortion::new(&color.lens, color.image_size, &options);
     std::fs::create_dir_all(&args.out).map_err(|error| {

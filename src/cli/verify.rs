@@ -9,7 +9,7 @@ use std::path::PathBuf;
 use crate::calibration::result::ImageCalibration;
 use crate::calibration::solve::uncertainty_map;
 use crate::cli::Failure;
-use crate::cli::files::read_calibration;
+use crate::cli::files::{image_sensor, read_calibration};
 use crate::cli::gather::gather;
 use crate::cli::lens_change::LensChange;
 use crate::cli::search_args::SearchArgs;
@@ -35,6 +35,9 @@ pub struct Args {
     /// The calibration document, as `plumb calibrate --out` gives it
     #[arg(long, value_name = "FILE")]
     calibration: PathBuf,
+    /// Whose images they are, where the calibration has several cameras or sensors
+    #[arg(long, value_name = "NAME")]
+    sensor: Option<String>,
     #[command(flatten)]
     search: SearchArgs,
     #[command(flatten)]
@@ -51,9 +54,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<(), Failure> {
     let calibration = read_calibration(&args.calibration)?;
     let file = args.calibration.display().to_string();
-    let sensor = calibration
-        .guide()
-        .ok_or_else(|| Failure::failed(format!("{file}: has no image sensor to verify")))?;
+    let sensor = image_sensor(&calibration, args.sensor.as_deref(), &file)?;
     let square_m = match calibration.target.and_then(|target| target.board()) {
         Some(Target::Chessboard(board)) => board.square_m,
         _ => ANY_SQUARE_M,

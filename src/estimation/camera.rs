@@ -8,6 +8,7 @@ use crate::estimation::clustered_covariance::FitCovariance;
 use crate::estimation::effects::apply::with_effects;
 use crate::estimation::error::EstimationError;
 use crate::estimation::jackknife::with_jackknife;
+use crate::estimation::joint::FreeLens;
 use crate::estimation::lens_choice::{ChosenLens, choose_lens};
 use crate::estimation::lens_misfit::LensMisfit;
 use crate::estimation::model_check::ModelCheck;
@@ -15,6 +16,16 @@ use crate::estimation::model_error::{noise_floor_px_of, with_noise_floor};
 pub use crate::estimation::problem::{CameraOptions, CameraStart};
 use crate::estimation::problem::{CameraProblem, LensChoice, check};
 use crate::estimation::start::Prepared;
+use crate::geometry::lens::LensModel;
+
+/// Whether a lens of `model` has the parameters that are `given`, by name, and may have these values.
+///
+/// # Errors
+/// [`EstimationError::UnknownParameter`], [`EstimationError::GivenValue`].
+pub fn check_given(model: LensModel, given: &[(String, f64)]) -> Result<(), EstimationError> {
+    let options = CameraOptions { given: given.to_vec(), ..CameraOptions::default() };
+    FreeLens::from_options(model, &options).map(|_| ())
+}
 
 /// Calibrates a camera: Zhang's closed form for a start (or `options.start`), then
 /// Levenberg–Marquardt over the lens and all poses, against corners and views chosen robustly.

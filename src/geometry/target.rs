@@ -344,6 +344,9 @@ impl std::fmt::Display for Target {
                 if board.first_id > 0 {
                     write!(f, " from {}", board.first_id)?;
                 }
+                if board.legacy == Some(true) {
+                    write!(f, ", legacy layout")?;
+                }
                 write!(f, ")")
             }
             Self::AprilGrid(grid) => {

@@ -9,10 +9,11 @@ pub struct CloudPoint {
     pub color: [u8; 3],
 }
 
-/// The points as binary little-endian PLY; `frame` says in which camera's frame they are.
-pub fn to_ply(points: &[CloudPoint], frame: &str) -> Vec<u8> {
+/// The points as binary little-endian PLY; `units` says what lengths are in, and `frame` in which
+/// camera's frame the points are.
+pub fn to_ply(points: &[CloudPoint], (units, frame): (&str, &str)) -> Vec<u8> {
     let header = format!(
-        "ply\nformat binary_little_endian 1.0\ncomment meters in the {frame} camera's frame: x right, y down, z forward\n\
+        "ply\nformat binary_little_endian 1.0\ncomment {units} in the {frame} camera's frame: x right, y down, z forward\n\
          element vertex {}\nproperty float x\nproperty float y\nproperty float z\n\
          property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n",
         points.len()
@@ -36,7 +37,7 @@ mod tests {
             CloudPoint { point_m: [0.5, -1.0, 2.0], color: [1, 2, 3] },
             CloudPoint { point_m: [0.0; 3], color: [255, 0, 9] },
         ];
-        let file = to_ply(&points, "color");
+        let file = to_ply(&points, ("meters", "color"));
         let start = file.windows(11).position(|bytes| bytes == b"end_header\n").unwrap() + 11;
         assert!(String::from_utf8_lossy(&file[..start]).contains("element vertex 2\n"));
         let body = &file[start..];

@@ -136,6 +136,8 @@ fn what_determines_no_lens_is_refused_by_name() {
     let image = render(&camera([0.0; 3], [0.0; 2], 0.0));
     let same = written(folder.path(), &vec![image.clone(); 8]);
     assert_refused(&autocalibrate(&[], &same[..2]), "2 images are too few");
+    assert_refused(&autocalibrate(&["--given", "foo=0.1"], &same), "has no parameter `foo`");
+    assert_refused(&autocalibrate(&["--given", "fx=-3"], &same), "fx cannot be -3");
     assert_refused(&autocalibrate(&[], &same), "the camera stood still");
     let other = folder.path().join("other.png");
     image::imageops::rotate90(&image).save(&other).unwrap();

@@ -1,8 +1,13 @@
 //! Why images without a target determine no lens.
 
+use crate::estimation::error::EstimationError;
+
 /// Why there is no calibration: one line each, with what to do.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SceneRefusal {
+    /// A parameter was given that no lens has that may be fitted, or a value that it cannot have.
+    #[error(transparent)]
+    Given(#[from] EstimationError),
     /// Fewer than three.
     #[error(
         "{images} images are too few to calibrate without a target: give at least 3, better 8, from different places"

@@ -13,6 +13,8 @@ use crate::calibration::scene::one_camera::{check_one_camera, states_cropping};
 use crate::calibration::scene::refusal::SceneRefusal;
 use crate::calibration::scene::result::{SceneCalibration, ScenePoint, SceneSensor, SceneView};
 use crate::calibration::scene::verdict::{self, Evidence};
+use crate::estimation::camera::check_given;
+use crate::estimation::error::EstimationError;
 use crate::estimation::interrupt::Interrupt;
 use crate::estimation::problem::LensChoice;
 use crate::estimation::scene::bundle::{BundleStop, CameraMotion};
@@ -21,7 +23,7 @@ use crate::estimation::scene::lens_prior::{COEFFICIENTS, CX, CY, FX, FY};
 use crate::estimation::scene::reconstruction::Reconstruction;
 use crate::estimation::scene::rotation_only::reconstruct_rotations;
 use crate::estimation::uncertainty::{Distance, PixelGrid, UncertaintyMap, projection_uncertainty};
-use crate::geometry::lens::Lens;
+use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
 use crate::imaging::nominal_focal::NominalFocal;
@@ -102,6 +104,7 @@ pub fn calibrate_scene(
     images: &[SceneImage],
     options: &SceneOptions,
 ) -> Result<SceneCalibration, SceneRefusal> {
+    check_options(options)?;
     let size = checked_size(images)?;
     let goes_on = || options.interrupt.check().map_err(|_| SceneRefusal::Interrupted);
     let found = correspond(images, size, (options.threads, &options.interrupt));
@@ -132,6 +135,18 @@ pub fn calibrate_scene(
     let unfit = options.nominal_focal.and_then(|nominal| verdict::unfit_focal(nominal, focal));
     calibration.verdict.reasons.extend(unfit);
     Ok(calibration)
+}
+
+/// Whether the lens, or one of those to choose from, has the parameters that are given.
+fn check_options(options: &SceneOptions) -> Result<(), EstimationError> {
+    let models = match options.lens {
+        LensChoice::Model(model) => vec![model],
+        LensChoice::Auto => LensModel::compared().collect(),
+    };
+    let refusal = |model: LensModel| check_given(model, &options.given).err();
+    // The largest of several models names the most parameters.
+    let refusals: Option<Vec<EstimationError>> = models.into_iter().map(refusal).collect();
+    refusals.and_then(|mut refusals| refusals.pop()).map_or(Ok(()), Err)
 }
 
 /// What is behind `refusal`: of a texture that repeats, matches are between places that are alike,
