@@ -14,8 +14,8 @@ const LEAST_SHARED: usize = 4;
 /// parts in a thousand of their scatter over views that differ; any factor from 3 to 30 holds.
 const EXPLAINS: f64 = 10.0;
 
-/// By how many frame sets `other` has to be moved on to fit `reference`; `None` where it fits as it
-/// is, or no shift fits clearly better.
+/// By how many frame sets `other` lags behind `reference`, negative where it leads; `None` where
+/// it fits as it is, or no shift fits clearly better.
 pub(super) fn list_shift(reference: &SensorPoses, other: &SensorPoses) -> Option<isize> {
     let as_it_is = scatter(reference, other, 0)?;
     let shifts = (-LONGEST..=LONGEST).filter(|shift| *shift != 0);

@@ -175,8 +175,10 @@ fn cause(estimate: &CameraEstimate, check: &ModelCheck) -> String {
 fn halves(estimate: &CameraEstimate, check: &ModelCheck) -> Option<(Grade, String)> {
     let enough =
         estimate.views.iter().filter(|view| view.fault.is_none()).count() >= ModelCheck::MIN_VIEWS;
+    // Of a lens that is given whole, halves have nothing to differ in.
+    let is_estimated = estimate.lens_covariance.iter().any(|value| *value != 0.0);
     let Some(ratio) = check.split_half_ratio else {
-        return enough.then(|| {
+        return (enough && is_estimated).then(|| {
             (Grade::Poor, "two halves of the views differ too much to be compared".to_owned())
         });
     };

@@ -41,7 +41,10 @@ pub fn board_poses(lens: &Lens, view: &BoardView) -> Result<Vec<BoardPose>, Esti
     let prepared = Prepared::of(&problem);
     let refused = || EstimationError::NoPose {
         view: view.name.clone(),
-        reason: prepared.views[0].fault.map_or_else(String::new, |fault| fault.to_string()),
+        reason: prepared.views[0].fault.map_or_else(
+            || "the lens sees nothing where its corners are".to_owned(),
+            |fault| fault.to_string(),
+        ),
     };
     let camera_from_center = prepared.pose(0, lens).ok_or_else(refused)?;
     let mut found: Vec<BoardPose> = Vec::new();

@@ -120,7 +120,7 @@ pub enum EstimationError {
     },
     /// A sensor of a rig that never saw the board together with another.
     #[error(
-        "sensor `{sensor}` saw the board at no frame_set at which another sensor did: show it to both at once"
+        "sensor `{sensor}` never saw the board in a frame set with another sensor: show it to both at once"
     )]
     NothingShared {
         /// The sensor's name.

@@ -151,6 +151,8 @@ impl Choice {
             held_out_rms_px: trial.rms_px(&observations[*k]),
             parameters: trial.fit.layout.sensors[0].lens.free.len(),
         };
+        // With one view there is none to hold out: its errors are those of the fit.
+        let trials = if views.len() < 2 { &[][..] } else { &trials[..] };
         Self {
             chosen,
             between_models: between_models.flatten(),

@@ -156,14 +156,18 @@ fn moves_projections(
 
 /// The mean per view of the logarithm of how many times smaller the errors of `larger_model` are
 /// than those of `smaller_model`, in standard errors of that mean: each view is weighed by its own
-/// noise, so that those with large errors do not decide alone.
+/// noise, so that those with large errors do not decide alone. ± [`HELD_OUT`] for one view.
 fn gain_in_standard_errors(squares: &[[f64; 2]]) -> f64 {
     let n = squares.len() as f64;
     let logarithm = |square: f64| square.max(f64::MIN_POSITIVE).ln();
     let gains: Vec<f64> =
         squares.iter().map(|[smaller, larger]| logarithm(*smaller) - logarithm(*larger)).collect();
     let mean = gains.iter().sum::<f64>() / n;
-    let variance = gains.iter().map(|gain| (gain - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
+    if gains.len() < 2 {
+        // One view says which is better, and nothing of chance.
+        return mean.signum() * HELD_OUT;
+    }
+    let variance = gains.iter().map(|gain| (gain - mean).powi(2)).sum::<f64>() / (n - 1.0);
     mean / (variance / n).sqrt().max(f64::MIN_POSITIVE)
 }
 
@@ -285,7 +289,8 @@ mod tests {
 
     #[test]
     fn one_view_says_nothing_of_chance_and_exact_corners_stay_finite() {
-        assert!(gain_in_standard_errors(&[[2.0, 1.0]]).is_finite());
+        assert_eq!(gain_in_standard_errors(&[[2.0, 1.0]]), HELD_OUT);
+        assert_eq!(gain_in_standard_errors(&[[1.0, 2.0]]), -HELD_OUT);
         assert!(gain_in_standard_errors(&[[0.0, 0.0], [0.0, 0.0]]).is_finite());
     }
 }

@@ -61,8 +61,8 @@ pub struct SensorPlace {
     /// Its covariance, as a rotation about the sensor's axes (radians) and a translation (meters); zero for
     /// the first sensor.
     pub covariance: Matrix6<f64>,
-    /// How many times greater that is than if each corner erred by itself, as
-    /// [`CameraEstimate::variance_inflation`].
+    /// How many times greater that is for views that differ by more than their corners' noise, as
+    /// [`CameraEstimate::variance_inflation`]; what is not known of the board's shape is not counted.
     pub variance_inflation: f64,
 }
 

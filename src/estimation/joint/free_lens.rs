@@ -51,6 +51,15 @@ impl FreeLens {
             }
             given.push((index, *value));
         }
+        if options.square_pixels {
+            // The focal length that is given is both.
+            for (one, other) in [(0, 1), (1, 0)] {
+                let value = given.iter().find(|(index, _)| *index == one).map(|(_, value)| *value);
+                if !given.iter().any(|(index, _)| *index == other) {
+                    given.extend(value.map(|value| (other, value)));
+                }
+            }
+        }
         let is_given = |index: usize| given.iter().any(|(known, _)| *known == index);
         let square_pixels = options.square_pixels && !is_given(0) && !is_given(1);
         let held = |index: usize| match index {

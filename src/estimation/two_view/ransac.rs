@@ -123,7 +123,7 @@ fn samples_needed(part: f64, size: usize, options: &RansacOptions) -> usize {
     let log_miss = (-part.powi(size as i32)).ln_1p();
     let enough =
         if log_miss < 0.0 { options.miss_probability.ln() / log_miss } else { f64::INFINITY };
-    (enough.ceil() as usize).clamp(LEAST_SAMPLES, options.max_samples)
+    (enough.ceil() as usize).max(LEAST_SAMPLES).min(options.max_samples)
 }
 
 #[derive(Clone)]
