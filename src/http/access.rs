@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use axum::http::header::{AUTHORIZATION, COOKIE, LOCATION, SET_COOKIE};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
-use tokio::sync::Semaphore;
+use tokio::sync::{Semaphore, watch};
 
 use crate::http::browser_sessions::BrowserSessions;
 use crate::http::problem::Problem;
@@ -28,6 +28,8 @@ pub struct Access {
     /// Whether connections are secured: the cookie is then sent over such ones alone.
     is_secured: bool,
     guesses: Semaphore,
+    /// Changes whenever the tokens do.
+    replaced: watch::Sender<()>,
 }
 
 impl Access {
@@ -40,12 +42,29 @@ impl Access {
             cookie_name: format!("plumb_session_{port}"),
             is_secured,
             guesses: Semaphore::new(GUESSES),
+            replaced: watch::Sender::new(()),
         }
     }
 
     /// From now on these tokens are good, and no others: sessions of browsers end with their token.
     pub fn replace(&self, tokens: Option<AccessTokens>) {
         *self.tokens.write().unwrap_or_else(PoisonError::into_inner) = tokens.map(Arc::new);
+        self.replaced.send_replace(());
+    }
+
+    /// Resolves when whoever asked with these headers may not ask any more.
+    pub(super) async fn withdrawn(&self, headers: &HeaderMap) {
+        let mut replaced = self.replaced.subscribe();
+        loop {
+            // Without tokens everyone may ask.
+            let is_known =
+                |tokens: Arc<AccessTokens>| matches!(self.bearer(&tokens, headers), Bearer::Of(_));
+            if !self.tokens().is_none_or(is_known) {
+                return;
+            }
+            // The sender is this one's own.
+            let _ = replaced.changed().await;
+        }
     }
 
     pub(super) fn tokens(&self) -> Option<Arc<AccessTokens>> {
@@ -105,6 +124,8 @@ pub(super) enum Bearer {
 
 #[cfg(test)]
 mod tests {
+    use futures_util::FutureExt;
+
     use super::*;
 
     fn headers(pairs: &[(axum::http::HeaderName, &str)]) -> HeaderMap {
@@ -137,6 +158,19 @@ mod tests {
         // The token is revoked.
         let others = AccessTokens::parse("another-t0ken-of-the-test").unwrap();
         assert_eq!(access.bearer(&others, &headers(&[(COOKIE, number)])), Bearer::None);
+    }
+
+    #[tokio::test]
+    async fn a_stream_ends_with_the_token_that_it_was_asked_for_with() {
+        let tokens = |text: &str| Some(AccessTokens::parse(text).unwrap());
+        let access = Access::new(tokens("s3cret-token-of-the-test"), 8600, false);
+        let asked = headers(&[(AUTHORIZATION, "Bearer s3cret-token-of-the-test")]);
+        let mut watching = std::pin::pin!(access.withdrawn(&asked));
+        assert!(watching.as_mut().now_or_never().is_none());
+        access.replace(tokens("s3cret-token-of-the-test"));
+        assert!(watching.as_mut().now_or_never().is_none(), "it is good still");
+        access.replace(tokens("another-t0ken-of-the-test"));
+        assert!(watching.as_mut().now_or_never().is_some());
     }
 
     #[tokio::test]

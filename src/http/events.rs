@@ -71,7 +71,7 @@ pub(super) async fn follow(
         .retry(RETRY)
         .comment("events"))));
     let sent = stream.filter(wanted).map(|event| Ok(sent_event(&event)));
-    let sent = hello.chain(sent).take_until(shared.stopped());
+    let sent = hello.chain(sent).take_until(shared.ended(&headers));
     Ok(Sse::new(sent).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)))
 }
 

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use axum::body::{Body, Bytes};
 use axum::extract::State;
+use axum::http::HeaderMap;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};
 use futures_util::StreamExt;
@@ -94,6 +95,7 @@ pub(super) async fn frame(
 pub(super) async fn preview(
     State(shared): State<Arc<Shared>>,
     Address(camera): Address<String>,
+    headers: HeaderMap,
     Asked(parameters): Asked<DrawingParameters>,
 ) -> Result<Response, Problem> {
     let drawing = drawing(&parameters, true)?;
@@ -105,7 +107,7 @@ pub(super) async fn preview(
     });
     let first = Bytes::from(format!("--{BOUNDARY}\r\n"));
     let first = futures_util::stream::once(std::future::ready(Ok(first)));
-    let body = Body::from_stream(first.chain(parts.flatten()).take_until(shared.stopped()));
+    let body = Body::from_stream(first.chain(parts.flatten()).take_until(shared.ended(&headers)));
     let media_type = format!("multipart/x-mixed-replace; boundary={BOUNDARY}");
     Ok(([(CONTENT_TYPE, media_type)], body).into_response())
 }

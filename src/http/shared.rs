@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use axum::http::HeaderMap;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 
 use crate::http::access::Access;
@@ -70,12 +71,16 @@ impl Shared {
         })
     }
 
-    /// Resolves when the daemon goes down.
-    pub(super) fn stopped(&self) -> impl Future<Output = ()> + Send + use<> {
+    /// Resolves when the daemon goes down, or when whoever asked with `headers` may not ask any more.
+    pub(super) fn ended(&self, headers: &HeaderMap) -> impl Future<Output = ()> + Send + use<> {
         let mut stopping = self.stopping.clone();
+        let (access, headers) = (Arc::clone(&self.access), headers.clone());
         async move {
-            // A sender that is gone means the same.
-            let _ = stopping.wait_for(|stopping| *stopping).await;
+            tokio::select! {
+                // A sender that is gone means the same.
+                _ = stopping.wait_for(|stopping| *stopping) => {}
+                () = access.withdrawn(&headers) => {}
+            }
         }
     }
 }
