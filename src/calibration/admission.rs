@@ -171,6 +171,13 @@ impl Rejections {
         *self.counts.entry(rejection.kind()).or_default() += 1;
     }
 
+    /// Takes back one of `rejection`: the frame was kept for what another camera sees beside it.
+    pub(super) fn take_back(&mut self, rejection: &Rejection) {
+        if let Some(count) = self.counts.get_mut(rejection.kind()) {
+            *count = count.saturating_sub(1);
+        }
+    }
+
     /// Each kind with its count, in a fixed order.
     pub fn iter(&self) -> impl Iterator<Item = (&'static str, u64)> + '_ {
         Rejection::KINDS.into_iter().map(|kind| (kind, self.of(kind)))

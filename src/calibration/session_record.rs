@@ -147,6 +147,14 @@ impl SessionMember {
             estimate: None,
         }
     }
+
+    /// The estimate of the camera that is known least; `None` while one of them has none.
+    pub(super) fn worst_estimate(members: &[Self]) -> Option<RunningEstimate> {
+        let estimates: Option<Vec<&RunningEstimate>> =
+            members.iter().map(|member| member.estimate.as_ref()).collect();
+        let median = |estimate: &RunningEstimate| estimate.uncertainty_px.median;
+        estimates?.into_iter().max_by(|a, b| median(a).total_cmp(&median(b))).cloned()
+    }
 }
 
 /// A session as seen from outside.

@@ -78,6 +78,9 @@ impl Reload {
         if let Err(error) = exchanged {
             tracing::error!("not everything could be exchanged: {error}");
         }
+        let cameras: Vec<&str> = config.cameras.iter().map(|camera| camera.name.as_str()).collect();
+        let rigs: Vec<&str> = config.rigs.iter().map(|rig| rig.name.as_str()).collect();
+        self.fleet.arrange(&cameras, &rigs);
         if config.tokens != self.config.tokens {
             self.access.replace(config.tokens.clone());
             tracing::info!("tokens read again");

@@ -73,7 +73,7 @@ impl ReadQuery for ExportParameters {
     params(("camera" = String, Path, description = "its name in the configuration"), ExportParameters),
     responses(
         (status = 200, description = "the calibration", content(
-            (CalibrationDocument = "application/json"), (String = "application/yaml"), (String = "text/plain"))),
+            (CalibrationDocument = "application/json"), (String = "application/yaml"), (String = "application/xml"), (String = "text/plain"))),
         (status = 404, description = "no such camera, or none approved yet", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "an unknown format, or one that cannot hold this lens", body = Problem, content_type = "application/problem+json"),
     ))]
@@ -114,7 +114,7 @@ pub(super) async fn current_of(
     params(("camera" = String, Path, description = "its name in the configuration"), ExportParameters),
     responses(
         (status = 200, description = "the factory's calibration", content(
-            (CalibrationDocument = "application/json"), (String = "application/yaml"), (String = "text/plain"))),
+            (CalibrationDocument = "application/json"), (String = "application/yaml"), (String = "application/xml"), (String = "text/plain"))),
         (status = 404, description = "no such camera, or its device states nothing of its lenses", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "an unknown format, or one that cannot hold this lens", body = Problem, content_type = "application/problem+json"),
     ))]
@@ -168,7 +168,7 @@ pub(super) async fn history_of(
     params(("id" = String, Path, description = "the calibration's"), ExportParameters),
     responses(
         (status = 200, description = "the calibration", content(
-            (CalibrationDocument = "application/json"), (String = "application/yaml"), (String = "text/plain"))),
+            (CalibrationDocument = "application/json"), (String = "application/yaml"), (String = "application/xml"), (String = "text/plain"))),
         (status = 404, description = "no such calibration", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "an unknown format, or one that cannot hold this lens", body = Problem, content_type = "application/problem+json"),
     ))]

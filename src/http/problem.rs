@@ -158,7 +158,9 @@ impl From<PreviewError> for Problem {
 impl From<ApproveError> for Problem {
     fn from(error: ApproveError) -> Self {
         match error {
-            ApproveError::UnknownCalibration { .. } => Self::not_found(error.to_string()),
+            ApproveError::UnknownCalibration { .. } | ApproveError::NotConfigured { .. } => {
+                Self::not_found(error.to_string())
+            }
             ApproveError::NoCamera { .. } => Self::conflict(error.to_string()),
             ApproveError::Store(error) => error.into(),
         }
@@ -194,7 +196,7 @@ impl From<EndError> for Problem {
         let detail = error.to_string();
         match error {
             EndError::UnknownSession { .. } => Self::not_found(detail),
-            EndError::Over { .. } => Self::conflict(detail),
+            EndError::Over { .. } | EndError::NotConfigured { .. } => Self::conflict(detail),
             EndError::Store { .. } => Self::unavailable(detail),
             EndError::Stopping => Self::unavailable(detail),
         }

@@ -79,7 +79,7 @@ pub(super) async fn start(
     params(("rig" = String, Path, description = "its name in the configuration"), ExportParameters),
     responses(
         (status = 200, description = "the calibration", content(
-            (CalibrationDocument = "application/json"), (String = "application/yaml"), (String = "text/plain"))),
+            (CalibrationDocument = "application/json"), (String = "application/yaml"), (String = "application/xml"), (String = "text/plain"))),
         (status = 404, description = "no such rig, or none approved yet", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "an unknown format, or one that cannot hold it", body = Problem, content_type = "application/problem+json"),
     ))]

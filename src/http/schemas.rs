@@ -15,12 +15,6 @@ pub(super) fn sensor_kind() -> Object {
     one_of(SensorKind::ALL.map(SensorKind::name))
 }
 
-/// A positive number.
-pub(super) fn positive() -> Object {
-    let number = ObjectBuilder::new().schema_type(SchemaType::Type(Type::Number));
-    number.exclusive_minimum(Some(0.0)).build()
-}
-
 /// What a lens may be asked for, as least and most: wider than what is built, and narrow enough that
 /// every figure that follows from it is a number.
 pub(super) const F_NUMBER: [f64; 2] = [0.1, 1e3];

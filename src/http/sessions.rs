@@ -13,7 +13,7 @@ use crate::document::session::{SessionDocument, SessionsDocument, StartDocument}
 use crate::http::pages::page_limit;
 use crate::http::problem::Problem;
 use crate::http::request::{Address, BodyRefusals, Parameters, SMALL_BODY, document};
-use crate::http::shared::Shared;
+use crate::http::shared::{Shared, on_a_blocking_thread};
 use crate::pipeline::session_request::EndError;
 use crate::store::Store;
 
@@ -162,8 +162,14 @@ pub(super) async fn abort(
         shared.stored(move |store| store.delete_session(&id)).await?;
         return Ok(Json((&record).into()));
     }
-    let aborted = shared.fleet.abort_session(&id).await;
-    Ok(Json((&or_stored(&shared, &id, aborted).await?).into()))
+    let aborted = match shared.fleet.abort_session(&id).await {
+        Err(EndError::UnknownSession { .. }) => {
+            let fleet = Arc::clone(&shared.fleet);
+            on_a_blocking_thread(move || fleet.abort_stored(&id)).await?
+        }
+        aborted => aborted,
+    };
+    Ok(Json((&aborted?).into()))
 }
 
 /// The session as it stands: live, else as it was stored.
@@ -176,8 +182,8 @@ pub(super) async fn session(shared: &Shared, id: &str) -> Result<SessionRecord, 
     stored.ok_or_else(|| EndError::UnknownSession { id: id.to_owned() }.into())
 }
 
-/// The fleet knows the newest session of each camera; an older one is over, which is another
-/// refusal than unknown.
+/// The fleet knows the newest session of each camera and rig. An older one is over, and that of a
+/// camera that is not configured any more waits for it: other refusals than unknown.
 async fn or_stored(
     shared: &Shared,
     id: &str,
@@ -185,8 +191,10 @@ async fn or_stored(
 ) -> Result<SessionRecord, Problem> {
     match ended {
         Err(EndError::UnknownSession { .. }) => {
-            let record = session(shared, id).await?;
-            Err(EndError::Over { id: record.id, state: record.state }.into())
+            let SessionRecord { id, camera: name, state, .. } = session(shared, id).await?;
+            let is_known = state.is_over() || shared.fleet.has_instrument(&name);
+            let over = EndError::Over { id: id.clone(), state };
+            Err(if is_known { over } else { EndError::NotConfigured { id, name } }.into())
         }
         ended => Ok(ended?),
     }

@@ -29,7 +29,7 @@ pub(super) struct UncertaintyParameters {
     /// color, infrared, infrared2, or a rig's camera; the first there is when left out.
     sensor: Option<String>,
     /// How far away things are, in meters; at infinity when left out.
-    #[param(schema_with = schemas::positive, required = false)]
+    #[param(schema_with = schemas::focus_m, required = false)]
     distance_m: Option<f64>,
 }
 
@@ -37,7 +37,7 @@ impl ReadQuery for UncertaintyParameters {
     fn read(parameters: &Parameters) -> Result<Self, Problem> {
         Ok(Self {
             sensor: parameters.text("sensor").map(str::to_owned),
-            distance_m: parameters.positive("distance_m")?,
+            distance_m: parameters.within("distance_m", schemas::FOCUS_M)?,
         })
     }
 }

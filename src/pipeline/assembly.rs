@@ -300,8 +300,9 @@ impl Queues {
         let (oldest, start_ns) = fronts.min_by_key(|(_, ns)| *ns)?;
         let following_ns = self.cameras[oldest].frames.get(1).map(SeenFrame::host_time_ns);
         let between = |queue: &CameraQueue| {
-            first_ns(queue)
-                .is_some_and(|ns| (SAME_TIME_NS + 1..=TOGETHER_NS).contains(&(ns - start_ns)))
+            first_ns(queue).is_some_and(|ns| {
+                (SAME_TIME_NS + 1..=TOGETHER_NS).contains(&(ns.saturating_sub(start_ns)))
+            })
         };
         let may_follow = following_ns.is_none() && self.cameras[oldest].goes_on();
         if !is_full && may_follow && self.cameras.iter().any(between) {
@@ -309,9 +310,10 @@ impl Queues {
             return None;
         }
         let belongs = |ns: i64| {
-            let is_nearer =
-                following_ns.is_none_or(|following_ns| ns - start_ns <= (following_ns - ns).abs());
-            ns - start_ns <= TOGETHER_NS && is_nearer
+            let is_nearer = following_ns.is_none_or(|following_ns| {
+                ns.saturating_sub(start_ns).unsigned_abs() <= following_ns.abs_diff(ns)
+            });
+            ns.saturating_sub(start_ns) <= TOGETHER_NS && is_nearer
         };
         let take = |queue: &mut CameraQueue| match first_ns(queue) {
             Some(ns) if belongs(ns) => queue.frames.pop_front(),

@@ -9,6 +9,7 @@ use crate::calibration::target::CalibrationTarget;
 use crate::pipeline::board_search::{BoardSearch, SearchManner};
 use crate::pipeline::captured::{Captured, CapturedFrame};
 use crate::pipeline::event::{EventKind, FrameEvent};
+use crate::pipeline::guarded::guarded;
 use crate::pipeline::live_camera::LiveCamera;
 use crate::pipeline::live_frame::{FrameDetection, LiveFrame};
 use crate::pipeline::scene_search::search_scene;
@@ -28,7 +29,13 @@ impl Detect {
     pub(super) fn run(mut self) {
         while let Some(captured) = self.camera.slot.take() {
             match captured {
-                Captured::Frame(captured) => self.take(captured),
+                Captured::Frame(captured) => {
+                    if let Err(fault) = guarded(|| self.take(captured)) {
+                        tracing::error!(camera = self.camera.name, "frame dropped: {fault}");
+                        self.camera.count_dropped("fault", 1);
+                        self.board_search = BoardSearch::default();
+                    }
+                }
                 Captured::End { search: Some(search), reason } => {
                     search.assembly.ended(search.place, &reason);
                 }

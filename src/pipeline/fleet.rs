@@ -87,7 +87,8 @@ impl Fleet {
     }
 
     /// Stops the cameras named `stopped` and sets those of `plans` going, with the sessions that
-    /// were left unfinished. The others do not notice. Blocks for less than a second.
+    /// were left unfinished. The others do not notice; those are not known meanwhile. Blocks while
+    /// their recordings are written to the end, and while kept views are read again.
     ///
     /// # Errors
     /// [`FleetError`]; cameras before the one that failed are running then.
@@ -96,15 +97,15 @@ impl Fleet {
         stopped: &[String],
         plans: Vec<CameraPlan>,
     ) -> Result<(), FleetError> {
-        let mut cameras = self.cameras.write().unwrap_or_else(PoisonError::into_inner);
-        let (leaving, staying): (Vec<_>, Vec<_>) =
-            cameras.drain(..).partition(|running| stopped.contains(&running.camera.name));
-        *cameras = staying;
+        let cameras = || self.cameras.write().unwrap_or_else(PoisonError::into_inner);
+        let leaving: Vec<RunningCamera> =
+            cameras().extract_if(.., |running| stopped.contains(&running.camera.name)).collect();
         stop(&[], &leaving);
         let mut unfinished = self.shared.store.unfinished_sessions()?;
         for plan in plans {
             let left = take_newest_of(&mut unfinished, &plan.name);
-            cameras.push(start_camera(plan, left, &self.shared, &self.options)?);
+            let started = start_camera(plan, left, &self.shared, &self.options)?;
+            cameras().push(started);
         }
         Ok(())
     }
@@ -151,6 +152,28 @@ impl Fleet {
         stop(&rigs, &cameras);
     }
 
+    pub(super) fn store(&self) -> &Store {
+        &self.shared.store
+    }
+
+    /// Whether a camera or a rig has this name.
+    pub fn has_instrument(&self, name: &str) -> bool {
+        self.instruments().iter().any(|known| known.name == *name)
+    }
+
+    /// Puts cameras and rigs in the order of these names.
+    pub fn arrange(&self, cameras: &[&str], rigs: &[&str]) {
+        let place = |names: &[&str], name: &str| names.iter().position(|other| *other == name);
+        self.cameras
+            .write()
+            .unwrap_or_else(PoisonError::into_inner)
+            .sort_by_key(|running| place(cameras, &running.camera.name));
+        self.rigs
+            .write()
+            .unwrap_or_else(PoisonError::into_inner)
+            .sort_by_key(|running| place(rigs, &running.instrument.name));
+    }
+
     /// Makes a calibration its camera's current one.
     ///
     /// # Errors
@@ -162,10 +185,11 @@ impl Fleet {
             .camera
             .as_ref()
             .ok_or_else(|| ApproveError::NoCamera { id: id.to_owned() })?;
+        let known = self.instruments().into_iter().find(|known| known.name == *name);
+        let missing = || ApproveError::NotConfigured { id: id.to_owned(), name: name.clone() };
+        let instrument = known.ok_or_else(missing)?;
         self.shared.store.set_current(name, id)?;
-        if let Some(instrument) = self.instruments().iter().find(|known| known.name == *name) {
-            instrument.set_calibration(id);
-        }
+        instrument.set_calibration(id);
         if let Some(event) = CalibrationEvent::of(&calibration, true) {
             self.shared.events.publish(name, EventKind::Calibration(event));
         }

@@ -43,6 +43,16 @@ pub enum ApproveError {
         /// The id that was asked for.
         id: String,
     },
+    /// Its camera or rig is not configured any more.
+    #[error(
+        "calibration {id} is of `{name}`, which is not configured any more: configure it again, then approve it"
+    )]
+    NotConfigured {
+        /// The id that was asked for.
+        id: String,
+        /// The camera's or the rig's name.
+        name: String,
+    },
     /// It is of no camera.
     #[error("calibration {id} belongs to no camera")]
     NoCamera {

@@ -5,11 +5,13 @@ use std::sync::Arc;
 use tokio::sync::oneshot;
 
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
+use crate::pipeline::clock::utc_now_ns;
 use crate::pipeline::fleet::Fleet;
 use crate::pipeline::instrument::Instrument;
 use crate::pipeline::message::{EndReply, Message};
 use crate::pipeline::session_request::{EndError, StartError};
 use crate::pipeline::unknown::{UnknownCamera, UnknownRig};
+use crate::store::StoreError;
 
 impl Fleet {
     /// The newest session of each camera and each rig since the daemon started, running or over.
@@ -69,6 +71,23 @@ impl Fleet {
     /// [`EndError`]; a session that is not the newest of its camera counts as unknown here.
     pub async fn abort_session(&self, id: &str) -> Result<SessionRecord, EndError> {
         self.end_session(id, Message::Abort).await
+    }
+
+    /// Gives up session `id`, which waits for a camera or a rig that is not configured any more.
+    ///
+    /// # Errors
+    /// [`EndError`]; a session that is over, or that its camera may go on with, is not touched.
+    pub fn abort_stored(&self, id: &str) -> Result<SessionRecord, EndError> {
+        let broken = |error: StoreError| EndError::Store { detail: error.to_string() };
+        let stored = self.store().session(id).map_err(broken)?;
+        let unknown = || EndError::UnknownSession { id: id.to_owned() };
+        let mut record = stored.ok_or_else(unknown)?;
+        let over = EndError::Over { id: id.to_owned(), state: record.state };
+        if self.has_instrument(&record.camera) || record.abort(utc_now_ns()).is_err() {
+            return Err(over);
+        }
+        self.store().save_session(&record).map_err(broken)?;
+        Ok(record)
     }
 
     /// Waits until session `id` has ended.

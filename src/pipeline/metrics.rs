@@ -185,7 +185,7 @@ impl Metrics {
         ] {
             counter.with_label_values(&[camera]);
         }
-        for why in ["device", "damaged", "overload", "store"] {
+        for why in ["device", "damaged", "overload", "store", "fault"] {
             self.dropped.with_label_values(&[camera, why]);
         }
         self.set_state(camera, CameraState::Starting);

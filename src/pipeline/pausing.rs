@@ -184,7 +184,7 @@ impl SessionThread {
             UnstoredWork::Actions(_) => self.store.save_session(session.record()),
             UnstoredWork::Calibration(calibration) => {
                 let mut finished = session.clone();
-                finished.solved(Ok(calibration.id.clone()), calibration.created_at_ns);
+                finished.calibrated(calibration);
                 self.store.finish_session(finished.record(), calibration)
             }
         }
@@ -200,10 +200,9 @@ impl SessionThread {
             }
             UnstoredWork::Calibration(calibration) => {
                 self.announce_calibration(&calibration);
-                let (id, now_ns) = (calibration.id.clone(), calibration.created_at_ns);
                 let session = self.session.as_mut();
                 let actions =
-                    session.map_or_else(Vec::new, |session| session.solved(Ok(id), now_ns));
+                    session.map_or_else(Vec::new, |session| session.calibrated(&calibration));
                 self.perform_stored(actions);
                 self.show();
             }

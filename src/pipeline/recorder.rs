@@ -131,9 +131,10 @@ impl RecorderLink {
     /// Offers a frame set to the recording, if one goes on; waits for the disk if nothing may be
     /// dropped.
     pub(super) fn offer(&self, frame_set: &Arc<FrameSet>, waits: bool) {
-        let mut link = lock(&self.0);
-        let Some(recorder) = link.as_mut() else { return };
-        let Some(frames) = &recorder.frames else { return };
+        let recording =
+            |recorder: &Recorder| Some((recorder.frames.clone()?, Arc::clone(&recorder.status)));
+        let Some((frames, status)) = lock(&self.0).as_ref().and_then(recording) else { return };
+        // Whoever waits for the disk holds up nobody else.
         let sent = match waits {
             true => frames.send(Arc::clone(frame_set)).map_err(|_| false),
             false => frames
@@ -142,21 +143,29 @@ impl RecorderLink {
         };
         match sent {
             Ok(()) => {}
-            Err(true) => lock(&recorder.status).dropped += 1,
-            Err(false) => recorder.frames = None,
+            Err(true) => lock(&status).dropped += 1,
+            Err(false) => {
+                let mut link = lock(&self.0);
+                let same = link.as_mut().filter(|recorder| Arc::ptr_eq(&recorder.status, &status));
+                same.into_iter().for_each(|recorder| recorder.frames = None);
+            }
         }
     }
 
     /// Ends the recording and waits until its file is whole; its last status, if there is one.
     pub(super) fn finish(&self) -> Option<RecordingStatus> {
-        let mut link = lock(&self.0);
-        let recorder = link.as_mut()?;
-        recorder.frames = None;
-        if let Some(thread) = recorder.thread.take() {
+        let (thread, status) = {
+            let mut link = lock(&self.0);
+            let recorder = link.as_mut()?;
+            recorder.frames = None;
+            (recorder.thread.take(), Arc::clone(&recorder.status))
+        };
+        if let Some(thread) = thread {
             // A thread that panicked has left its status as it was.
             let _ = thread.join();
         }
-        Some(lock(&recorder.status).clone())
+        let status = lock(&status).clone();
+        Some(status)
     }
 
     /// The newest recording.
@@ -188,12 +197,12 @@ fn write_all(
             status.bytes = bytes;
         }
         let now_ns = frame_set.host_time.utc_ns;
-        if now_ns - *noted_ns.get_or_insert(now_ns) >= NOTE_EVERY_NS {
+        if now_ns.saturating_sub(*noted_ns.get_or_insert(now_ns)) >= NOTE_EVERY_NS {
             noted_ns = Some(now_ns);
             // The recording is worth more than its note.
             let _ = recording_notes::write(&lock(status).clone());
         }
-        let elapsed_s = (now_ns - *began_ns.get_or_insert(now_ns)) as f64 * 1e-9;
+        let elapsed_s = now_ns.saturating_sub(*began_ns.get_or_insert(now_ns)) as f64 * 1e-9;
         if let Some(reached) = reached(limits, elapsed_s, bytes) {
             outcome = Ok(Some(reached));
             break;

@@ -18,9 +18,9 @@ pub enum StartError {
         rig: String,
     },
     /// One session a camera.
-    #[error("camera `{camera}` is in session {session} already; stop or abort that one first")]
+    #[error("`{camera}` is in session {session} already; stop or abort that one first")]
     Busy {
-        /// The camera's name.
+        /// The camera's or the rig's name.
         camera: String,
         /// The session that runs.
         session: String,
@@ -52,6 +52,16 @@ pub enum EndError {
         id: String,
         /// How it ended.
         state: SessionState,
+    },
+    /// Nothing can be asked of its camera or rig, which is not configured any more.
+    #[error(
+        "session {id} is of `{name}`, which is not configured any more: configure it again to go on with the session, or DELETE it"
+    )]
+    NotConfigured {
+        /// The session's id.
+        id: String,
+        /// The camera's or the rig's name.
+        name: String,
     },
     /// Its end could not be written down.
     #[error("the session could not be stored: {detail}")]

@@ -20,6 +20,7 @@ use crate::pipeline::assembly::Assembly;
 use crate::pipeline::auxiliary::AuxiliaryViews;
 use crate::pipeline::clock::utc_now_ns;
 use crate::pipeline::event::{DetectionEvent, EventKind};
+use crate::pipeline::guarded::guarded;
 use crate::pipeline::instrument::Instrument;
 use crate::pipeline::live_camera::LiveCamera;
 use crate::pipeline::message::{Message, SeenFrameSet};
@@ -75,7 +76,9 @@ impl SessionThread {
             if self.instrument.stop.is_set() {
                 break;
             }
-            self.take(message);
+            if let Err(fault) = guarded(|| self.take(message)) {
+                self.give_up(&fault);
+            }
         }
         // Whoever waits for room in the queue is let go.
         drop(messages);
@@ -91,6 +94,15 @@ impl SessionThread {
         {
             tracing::error!(session = session.record().id, "its counts are not stored: {error}");
         }
+    }
+
+    /// After a fault: what is in memory of the session may be half changed. Its stored views stay, and
+    /// its cameras are free for another one.
+    fn give_up(&mut self, fault: &str) {
+        tracing::error!(instrument = self.instrument.name, "{fault}");
+        self.unstored = None;
+        self.health.go_on(&self.instrument.name);
+        self.let_happen(|session| session.fail(fault, utc_now_ns()));
     }
 
     fn take(&mut self, message: Message) {

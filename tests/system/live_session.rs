@@ -205,6 +205,25 @@ fn a_hangup_exchanges_the_cameras_that_changed() {
         "collecting",
         "left did not notice"
     );
+
+    // A camera in another's place has that place in the list; the session of the one that went can
+    // only be given up.
+    let renamed = std::fs::read_to_string(&file).unwrap().replacen("\"left\"", "\"first\"", 1);
+    std::fs::write(&file, renamed).unwrap();
+    served.signal("HUP");
+    events.until(|event| {
+        event.name == "camera"
+            && event.data["name"] == "first"
+            && event.data["state"] == "streaming"
+    });
+    assert!((0..10_000).any(|_| names(&served) == ["first", "third"]), "{:?}", names(&served));
+    let path = format!("/v1/sessions/{id}");
+    let stopped = served.post_nothing(&format!("{path}/stop"));
+    assert_eq!(stopped.status, 409);
+    assert!(stopped.text().contains("`left`, which is not configured any more"));
+    assert_eq!(served.delete(&path).json()["state"], "aborted");
+    assert_eq!(served.delete(&path).status, 409, "it is over");
+    assert_eq!(served.delete(&format!("{path}?purge=true")).status, 200);
 }
 
 /// What a camera gave, recorded and replayed, gives what the camera itself gives: no frame is

@@ -264,12 +264,13 @@ impl BoardPart {
     /// Keeps a detection that teaches this camera nothing new, for what it teaches of the
     /// instrument: another camera saw the board in the same frame set. `None` where it cannot be a
     /// view at all.
-    pub(super) fn keep_shared(&mut self, seen: &CameraFrame) -> Option<u32> {
+    pub(super) fn keep_shared(&mut self, seen: &CameraFrame, rejection: &Rejection) -> Option<u32> {
         let (frame, detection) = (&seen.frame, seen.board()?);
         let room = self.views.len() < self.options.view_limit as usize;
         let fits = self.image_size().is_none_or(|expected| expected == frame.image_size);
         let placement = Placement::of(detection, frame.image_size).filter(|_| room && fits)?;
         let taught = self.taught_by((frame, detection), seen.depth.as_ref());
+        self.summary.rejected.take_back(rejection);
         Some(self.add((frame, detection), placement, taught))
     }
 

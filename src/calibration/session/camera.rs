@@ -156,9 +156,9 @@ impl CameraPart {
     /// Keeps a detection that teaches this camera nothing new, for what it teaches of the
     /// instrument: another camera saw the board in the same frame set. `None` where it cannot be a
     /// view at all.
-    pub(super) fn keep_shared(&mut self, seen: &CameraFrame) -> Option<u32> {
+    pub(super) fn keep_shared(&mut self, seen: &CameraFrame, rejection: &Rejection) -> Option<u32> {
         match self {
-            Self::Board(board) => board.keep_shared(seen),
+            Self::Board(board) => board.keep_shared(seen, rejection),
             Self::Scene(_) => None,
         }
     }

@@ -5,12 +5,18 @@
 //! collecting ──stop, goal reached, time up──▶ solving ──▶ finished
 //!     │                                          └──────▶ failed (its views stay)
 //!     ├──stop with too few views──▶ failed
+//!     ├──fault──▶ failed           (also from solving)
 //!     └──abort──▶ aborted          (also from solving)
 //! ```
 
 use crate::calibration::guidance::Guidance;
+use crate::calibration::result::{CalibratedSensor, Calibration, ImageCalibration};
+use crate::calibration::sensor::SensorId;
 use crate::calibration::session::action::Action;
-use crate::calibration::session_record::{Finish, SessionRecord, SessionState};
+use crate::calibration::session_record::{
+    Finish, RunningEstimate, SessionMember, SessionRecord, SessionState,
+};
+use crate::imaging::frame::SensorKind;
 
 /// Fewer views leave the lens undetermined (Zhang, "A flexible new technique for camera
 /// calibration", 2000, section 3.3); fewer images of a scene do too.
@@ -40,12 +46,25 @@ impl SessionRecord {
     }
 
     /// By request: gives it up.
-    pub(super) fn abort(&mut self, now_ns: i64) -> Result<Vec<Action>, SessionOver> {
+    ///
+    /// # Errors
+    /// [`SessionOver`].
+    pub fn abort(&mut self, now_ns: i64) -> Result<Vec<Action>, SessionOver> {
         match self.state {
             SessionState::Collecting | SessionState::Solving => {
                 Ok(self.close(SessionState::Aborted, None, now_ns))
             }
             state => Err(SessionOver { state }),
+        }
+    }
+
+    /// Something broke in the program itself: its views stay.
+    pub(super) fn fail(&mut self, reason: &str, now_ns: i64) -> Vec<Action> {
+        match self.state {
+            SessionState::Collecting | SessionState::Solving => {
+                self.close(SessionState::Failed, Some(reason.to_owned()), now_ns)
+            }
+            _ => Vec::new(),
         }
     }
 
@@ -73,7 +92,7 @@ impl SessionRecord {
             return Vec::new();
         }
         if self.request.finish.is_some_and(|finish| finish != Finish::default()) {
-            return self.solve_or_fail(enough, now_ns);
+            return self.solve_or_fail(enough.map_err(|why| format!("{reason}; {why}")), now_ns);
         }
         self.reason = Some(format!("{reason}; stop the session to solve what it gathered"));
         vec![Action::Announce]
@@ -93,6 +112,24 @@ impl SessionRecord {
         }
     }
 
+    /// Takes the calibration that its views led to: its estimates are as that says.
+    pub(super) fn calibrated(&mut self, calibration: &Calibration) -> Vec<Action> {
+        if self.state == SessionState::Solving {
+            if self.members.is_empty() {
+                take_estimate(&mut self.estimate, calibration.guide());
+            }
+            for member in &mut self.members {
+                let color = SensorId::of(&member.camera, SensorKind::Color);
+                let sensor = calibration.sensor(&color).and_then(CalibratedSensor::as_image);
+                take_estimate(&mut member.estimate, sensor);
+            }
+            if !self.members.is_empty() {
+                self.estimate = SessionMember::worst_estimate(&self.members);
+            }
+        }
+        self.solved(Ok(calibration.id.clone()), calibration.created_at_ns)
+    }
+
     fn solve_or_fail(&mut self, enough: Result<(), String>, now_ns: i64) -> Vec<Action> {
         if let Err(reason) = enough {
             return self.close(SessionState::Failed, Some(reason), now_ns);
@@ -110,4 +147,16 @@ impl SessionRecord {
         self.finished_at_ns = Some(now_ns.max(self.started_at_ns));
         vec![Action::Close]
     }
+}
+
+/// Makes an estimate say what the calibration of its sensor says; it keeps its map.
+fn take_estimate(estimate: &mut Option<RunningEstimate>, sensor: Option<&ImageCalibration>) {
+    let Some(sensor) = sensor else { return };
+    *estimate = Some(RunningEstimate {
+        lens: sensor.lens,
+        rms_px: sensor.rms_px,
+        uncertainty_px: sensor.uncertainty_px,
+        uncertainty_map: estimate.take().and_then(|before| before.uncertainty_map),
+        views: sensor.views.iter().filter(|view| view.used).count() as u32,
+    });
 }

@@ -1,9 +1,10 @@
 //! Whether a frame set may bring a view, decided before the session itself observes it: what is
 //! costly (the full search of a tracked board, the other sensors' images) is done for these alone.
 //!
-//! A gate knows the views that the session had kept a while ago. Views are only ever added, and
-//! each view that is kept rejects more frames, so that a gate lets through all that the session
-//! will keep, and little else.
+//! A gate knows the views that the session had kept a while ago. While there is room views are only
+//! ever added, and each view that is kept rejects more frames, so that a gate lets through all that
+//! the session will keep, and little else. A full session exchanges views: then no frame is like one
+//! that it is known to have.
 
 use crate::calibration::admission::{AdmissionOptions, SeenBefore, admit};
 use crate::calibration::placement::Placement;
@@ -72,10 +73,17 @@ impl Gate {
             of(place).image_size.is_none_or(|expected| expected == frame.image_size)
                 && admit(detection, frame, before, placements, &self.options).is_ok()
         };
+        let may_be_new = |place: usize, placements: &[Placement]| {
+            let is_full = of(place).placements.len() >= self.options.view_limit as usize;
+            is_new(place, if is_full { &[] } else { placements })
+        };
         let seen = frame_set.iter().flatten().filter(|frame| frame.seen.is_ok()).count();
         (0..frame_set.len()).any(|place| {
-            is_new(place, &of(place).placements)
-                || of(place).shared.as_ref().is_some_and(|shared| seen > 1 && is_new(place, shared))
+            may_be_new(place, &of(place).placements)
+                || of(place)
+                    .shared
+                    .as_ref()
+                    .is_some_and(|shared| seen > 1 && may_be_new(place, shared))
         })
     }
 

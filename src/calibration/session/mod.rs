@@ -31,6 +31,7 @@ mod together;
 use crate::calibration::admission::{AdmissionOptions, Rejection};
 use crate::calibration::guidance::Guidance;
 use crate::calibration::placement::Placement;
+use crate::calibration::result::Calibration;
 use crate::calibration::running_estimate::EstimateSoFar;
 use crate::calibration::scene::key_frames::KeyFrame;
 use crate::calibration::scene::so_far::SceneSoFar;
@@ -43,9 +44,7 @@ pub use crate::calibration::session::ending::{LEAST_VIEWS, SessionOver};
 use crate::calibration::session::pairs::Pairs;
 use crate::calibration::session::sharing::{Sharing, next_step};
 use crate::calibration::session::together::Together;
-use crate::calibration::session_record::{
-    RunningEstimate, SessionMember, SessionRecord, SessionState,
-};
+use crate::calibration::session_record::{SessionMember, SessionRecord, SessionState};
 use crate::calibration::view::{FrameFacts, View};
 use crate::detection::board_detection::Detection;
 
@@ -226,6 +225,17 @@ impl Session {
         self.record.solved(outcome, now_ns)
     }
 
+    /// Takes the calibration that answers [`Action::Solve`]: the estimate is as it says from now on.
+    pub fn calibrated(&mut self, calibration: &Calibration) -> Vec<Action> {
+        self.record.calibrated(calibration)
+    }
+
+    /// Ends it for `reason`, a fault of the program; its views stay. `now_ns` is UTC since the Unix
+    /// epoch.
+    pub fn fail(&mut self, reason: &str, now_ns: i64) -> Vec<Action> {
+        self.record.fail(reason, now_ns)
+    }
+
     /// The camera at this place gives no frames for `reason`: the session waits for it, and says
     /// so.
     pub fn camera_lost(&mut self, camera: usize, reason: &str) -> Vec<Action> {
@@ -329,7 +339,7 @@ impl Session {
                 if let Some(Err(rejection)) = &admissions[other]
                     && is_known(rejection)
                     && let Some(seen) = &frame_set[other]
-                    && let Some(view) = self.cameras[other].keep_shared(seen)
+                    && let Some(view) = self.cameras[other].keep_shared(seen, rejection)
                 {
                     admissions[other] = Some(Ok(view));
                 }
@@ -414,11 +424,7 @@ impl Session {
         let worst =
             members.iter().min_by(|a, b| a.coverage.fraction().total_cmp(&b.coverage.fraction()));
         record.coverage = worst.map(|member| member.coverage.clone()).unwrap_or_default();
-        let all_estimated = members.iter().all(|member| member.estimate.is_some());
-        let median = |estimate: &RunningEstimate| estimate.uncertainty_px.median;
-        let estimates =
-            members.iter().filter(|_| all_estimated).filter_map(|member| member.estimate.as_ref());
-        record.estimate = estimates.max_by(|a, b| median(a).total_cmp(&median(b))).cloned();
+        record.estimate = SessionMember::worst_estimate(&members);
         if record.state == SessionState::Collecting {
             // In the image of a camera that sees the board, if one of them does.
             let sees = |camera: usize| {

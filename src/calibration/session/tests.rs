@@ -262,6 +262,23 @@ fn an_aborted_solve_changes_nothing_any_more() {
 }
 
 #[test]
+fn a_fault_ends_it_while_it_collects_or_solves() {
+    for solves in [false, true] {
+        let mut session = session(None);
+        feed(&mut session, 0, &placements());
+        let kept = session.record().views_kept;
+        if solves {
+            session.stop(NOW_NS).unwrap();
+        }
+        assert_eq!(session.fail("a fault", NOW_NS), [Action::Close]);
+        let record = session.record();
+        assert_eq!((record.state, record.views_kept), (SessionState::Failed, kept));
+        assert_eq!(record.reason.as_deref(), Some("a fault"));
+        assert_eq!(session.fail("another", NOW_NS), [], "it is over");
+    }
+}
+
+#[test]
 fn a_loss_is_waited_through_and_said() {
     let mut session = session(None);
     feed(&mut session, 0, &placements()[..4]);

@@ -48,7 +48,8 @@ impl Together {
         let (Some(first), Some(second)) = (&frame_set[one], &frame_set[other]) else {
             return false;
         };
-        let elapsed_s = (first.frame.host_time_ns - second.frame.host_time_ns) as f64 * 1e-9;
+        let elapsed_s =
+            first.frame.host_time_ns.saturating_sub(second.frame.host_time_ns) as f64 * 1e-9;
         let speeds = self.motion_px_per_s[one].zip(self.motion_px_per_s[other]);
         let fastest = speeds.map(|(a, b)| a.max(b));
         elapsed_s.abs() <= SAME_TIME_S
@@ -57,7 +58,7 @@ impl Together {
 }
 
 fn speed_px_per_s(before: &(i64, Detection), now_ns: i64, now: &Detection) -> Option<f64> {
-    let elapsed_s = (now_ns - before.0) as f64 * 1e-9;
+    let elapsed_s = now_ns.saturating_sub(before.0) as f64 * 1e-9;
     let moved = now.corners.iter().filter_map(|corner| {
         let same = before.1.corners.iter().find(|other| other.index == corner.index)?;
         Some(corner.pixel.distance_px(same.pixel))
