@@ -1,6 +1,6 @@
 //! Reads MCAP files with the Foxglove schemas, from front to back, with one chunk's part in memory.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use crate::geometry::lens::Lens;
@@ -27,6 +27,8 @@ pub struct McapReader {
     records: RecordReader,
     schemas: BTreeMap<u16, String>,
     topics: BTreeMap<u16, (Topic, String)>,
+    /// Topics with images that were not asked for.
+    other_topics: BTreeSet<String>,
     lenses: BTreeMap<SensorKind, (ImageSize, Lens)>,
     /// Where sensors are, as color_from_sensor.
     poses: BTreeMap<SensorKind, Pose>,
@@ -72,6 +74,7 @@ impl McapReader {
             records,
             schemas: BTreeMap::new(),
             topics: BTreeMap::new(),
+            other_topics: BTreeSet::new(),
             lenses: BTreeMap::new(),
             poses: BTreeMap::new(),
             gathering: None,
@@ -150,13 +153,14 @@ impl McapReader {
     ///
     /// # Errors
     /// [`RecordingError::Cut`] and [`RecordingError::Damaged`] once, after every frame that can be
-    /// read; [`RecordingError::NoFrames`] and [`RecordingError::SeveralCameras`].
+    /// read; [`RecordingError::NoFrames`], [`RecordingError::NoSuchTopic`] and
+    /// [`RecordingError::SeveralCameras`].
     pub fn next_frame_set(&mut self) -> Result<Option<FrameSet>, RecordingError> {
         while !self.ended {
             let taken = match self.records.next_record() {
                 Ok(Some(record)) => self.take(record),
                 Ok(None) if self.frame_sets == 0 && self.gathering.is_none() => {
-                    Err(RecordingError::NoFrames { path: self.path.clone() })
+                    Err(self.no_frames())
                 }
                 Ok(None) => {
                     self.ended = true;
@@ -189,7 +193,11 @@ impl McapReader {
             }
             McapRecord::Channel { id, schema_id, topic, .. } => {
                 let is_asked = names_topic(&self.asked, &topic);
-                if let Some(topic) = Topic::parse(&topic).filter(|_| is_asked) {
+                let known = Topic::parse(&topic);
+                if !is_asked && matches!(known, Some(Topic::Frames { .. })) {
+                    self.other_topics.insert(topic);
+                }
+                if let Some(topic) = known.filter(|_| is_asked) {
                     let schema = self.schemas.get(&schema_id).cloned().unwrap_or_default();
                     self.check_camera(&topic)?;
                     self.topics.insert(id, (topic, schema));
@@ -256,6 +264,16 @@ impl McapReader {
         let done = self.gathering.replace(Gathering { set, log_time: header.log_time });
         self.frame_sets += usize::from(done.is_some());
         done.map(|gathering| gathering.set)
+    }
+
+    fn no_frames(&self) -> RecordingError {
+        let path = self.path.clone();
+        if self.other_topics.is_empty() {
+            return RecordingError::NoFrames { path };
+        }
+        let known: Vec<&str> = self.other_topics.iter().map(String::as_str).collect();
+        let (topic, known) = (self.asked.join(", "), known.join(", "));
+        RecordingError::NoSuchTopic { path, topic, known }
     }
 
     fn unreadable(&self, reason: String) -> RecordingError {
@@ -453,5 +471,13 @@ mod tests {
             line.contains("not foxglove.CompressedImage") || line.contains("left and right"),
             "{line}"
         );
+    }
+
+    #[test]
+    fn a_topic_that_is_not_there_is_refused_with_those_that_are() {
+        let path = Path::new("recordings/walk.mcap");
+        let mut reader = McapReader::open(path, &["/nope".to_owned()]).unwrap();
+        let line = reader.next_frame_set().unwrap_err().to_string();
+        assert!(line.contains("no images on the topic `/nope`: there are /"), "{line}");
     }
 }
