@@ -2,7 +2,7 @@
 //! to. What concerns sessions is in `fleet_sessions`.
 
 use std::path::PathBuf;
-use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard};
 
 use tokio::sync::watch;
 
@@ -38,6 +38,8 @@ use crate::store::Store;
 pub struct Fleet {
     cameras: RwLock<Vec<RunningCamera>>,
     rigs: RwLock<Vec<RunningInstrument>>,
+    /// Held while cameras are exchanged: those are unknown then, and their sessions are theirs still.
+    exchange: Mutex<()>,
     shared: SharedParts,
     options: FleetOptions,
 }
@@ -64,6 +66,7 @@ impl Fleet {
         let fleet = Self {
             cameras: RwLock::default(),
             rigs: RwLock::default(),
+            exchange: Mutex::default(),
             shared,
             options: options.clone(),
         };
@@ -97,6 +100,7 @@ impl Fleet {
         stopped: &[String],
         plans: Vec<CameraPlan>,
     ) -> Result<(), FleetError> {
+        let _exchanging = self.exchanging();
         let cameras = || self.cameras.write().unwrap_or_else(PoisonError::into_inner);
         let leaving: Vec<RunningCamera> =
             cameras().extract_if(.., |running| stopped.contains(&running.camera.name)).collect();
@@ -150,6 +154,11 @@ impl Fleet {
         let cameras =
             std::mem::take(&mut *self.cameras.write().unwrap_or_else(PoisonError::into_inner));
         stop(&rigs, &cameras);
+    }
+
+    /// Waits until no cameras are being exchanged, and has it stay so.
+    pub(super) fn exchanging(&self) -> MutexGuard<'_, ()> {
+        self.exchange.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     pub(super) fn store(&self) -> &Store {

@@ -78,6 +78,7 @@ impl Fleet {
     /// # Errors
     /// [`EndError`]; a session that is over, or that its camera may go on with, is not touched.
     pub fn abort_stored(&self, id: &str) -> Result<SessionRecord, EndError> {
+        let _exchanging = self.exchanging();
         let broken = |error: StoreError| EndError::Store { detail: error.to_string() };
         let stored = self.store().session(id).map_err(broken)?;
         let unknown = || EndError::UnknownSession { id: id.to_owned() };
