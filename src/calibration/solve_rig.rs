@@ -60,12 +60,12 @@ pub enum RigError {
     },
     /// No two cameras saw the board in one frame set.
     #[error(
-        "no two cameras saw the whole board at the same moment: hold it still where two of them see all of it"
+        "no two cameras saw the whole board in one frame set: hold it still where two of them see all of it"
     )]
     NothingShared,
     /// One camera's list of frames is shifted against another's.
     #[error(
-        "the frames of `{camera}` fit those of `{reference}` {places} places {when}, and not those they are taken to be together with: name or number them so that frames taken together are alike"
+        "the frames of `{camera}` match those of `{reference}` {places} places {when}: name or number frames so that those taken together have the same name or number"
     )]
     Shifted {
         /// The camera.

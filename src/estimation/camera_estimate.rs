@@ -28,13 +28,13 @@ pub struct CameraEstimate {
     /// those not estimated.
     pub lens_covariance: DMatrix<f64>,
     /// The noise floor, in pixels: a common standard deviation, added in quadrature to every corner's
-    /// own `std_px`. Its likeliest value under the residuals.
+    /// own `std_px`. Estimated by maximum likelihood.
     pub noise_floor_px: f64,
     /// The noise estimated from the residuals: the factor on each corner's `std_px`, with
     /// [`Self::noise_floor_px`] in it.
     pub noise: f64,
-    /// How many times greater all variances are than if each corner erred by itself: 1 unless the
-    /// views show that the corners of a view err together. Covariances have it in them.
+    /// Variance inflation: the ratio to the variances for independent corners, 1 unless residuals
+    /// within a view are correlated. All covariances include it.
     pub variance_inflation: f64,
     /// Root mean square over the used corners of the distance between seen and projected, in
     /// pixels.

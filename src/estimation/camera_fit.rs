@@ -23,8 +23,8 @@ pub(crate) struct CameraFit {
     pub(crate) faults: Vec<Option<ViewFault>>,
     /// What was found beyond lens and poses; `observations` are then where it puts them.
     pub(crate) effects: Option<EffectsFit>,
-    /// Where a rolling shutter is likely but not shown: by how much the lens's parameters would be
-    /// others with it, times the root of how likely it is.
+    /// Where a rolling shutter is likely but not significant: the change of the lens's parameters
+    /// with it, times the square root of its probability.
     pub(crate) shutter_doubt: Option<DVector<f64>>,
     /// Where its lens model was chosen: what others would give, each as likely as it is
     /// ([`crate::estimation::model_averaging`]). Of all parameters of the lens.
@@ -246,8 +246,7 @@ fn name_mirrored(prepared: &Prepared, state: &State, faults: &mut [Option<ViewFa
     let good: Vec<usize> = (0..faults.len()).filter(|view| faults[*view].is_none()).collect();
     let (behind, front): (Vec<usize>, Vec<usize>) =
         good.into_iter().partition(|view| from_behind(*view));
-    // A board whose points are given in a left-handed order is seen so in every view: only the odd
-    // ones out are wrong.
+    // A board given left-handed appears mirrored in every view: only the minority is wrong.
     let odd = if behind.len() <= front.len() { behind } else { front };
     for view in &odd {
         faults[*view] = Some(ViewFault::Mirrored);

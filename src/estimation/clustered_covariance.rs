@@ -25,9 +25,9 @@ use crate::estimation::robust_fit::ROUNDING;
 /// Minimum number of views for an estimate of their spread.
 const MIN_VIEWS: usize = 5;
 
-/// Squares of steps within this many standard deviations of what corners by themselves make are
-/// chance. Beyond, where it is chance seven times in a hundred, the spread of the views is not wrong
-/// either, and little of it counts; not to see that views differ would leave a covariance too small.
+/// An excess of the squares of steps within this many standard deviations is attributed to chance
+/// (it exceeds that by chance seven times in a hundred). A lower limit would mix in the noisy scatter
+/// of the views; a higher one would understate the covariance.
 const CHANCE: f64 = 1.5;
 
 /// This many standard deviations beyond chance, the clustered covariance and the model's count the
@@ -131,10 +131,9 @@ impl FitCovariance {
         self.block(0..self.unit.nrows()).covariance
     }
 
-    /// As [`Self::block`], but with a covariance that is not below what the views' influences show,
-    /// be it within chance or not: an error within chance still makes a covariance too small that
-    /// nothing else corrects. Where there is none it is over-estimated by √(1 / (π · views ·
-    /// parameters)): half the mean size of what chance makes of the influences.
+    /// As [`Self::block`], but never below the observed influence of the views, significant or not.
+    /// For independent corners it overestimates variances by √(1 / (π · views · parameters)): half
+    /// the mean size of what chance makes of the influences.
     pub(crate) fn block_as_seen(&self, block: Range<usize>) -> Clustered {
         let known = self.block(block.clone());
         if self.influences.len() < MIN_VIEWS {

@@ -35,9 +35,8 @@ pub struct DltEstimate {
 /// The ratio of the points' thickness to their width below which they count as one plane.
 const THICKNESS: f64 = 1e-3;
 
-/// How much closer than the smallest the second smallest singular value may come, relative to the
-/// largest, before the solution is not alone: points and camera on a twisted cubic, or on a plane
-/// and a line.
+/// The least second-smallest singular value, relative to the largest. Below it the null space has
+/// two dimensions: points and camera on a twisted cubic, or on a plane and a line (HZ 22.1).
 const ALONE: f64 = 1e-7;
 
 /// The projection matrix of the points of one view, scaled as in [`DltEstimate::projection`].

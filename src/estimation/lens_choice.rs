@@ -31,10 +31,9 @@ pub struct LensTrial {
     pub parameters: usize,
 }
 
-/// A model whose error on held-out views is this many times that of the best, each with lens and
-/// poses alone, is not the lens's, whatever the board's shape and motion are: a larger lens takes
-/// up a part of them at most. In 288 simulated worlds the true model's error was up to 1.5 times
-/// that of the best: this is twice as much.
+/// The held-out error, relative to that of the best model, above which a model is excluded before
+/// the board's shape and motion are fitted: a larger lens absorbs a part of them at most. In 288
+/// simulated worlds the true model's error was up to 1.5 times that of the best.
 const HOPELESS: f64 = 3.0;
 
 /// The image is compared on this many columns of pixels.

@@ -1,6 +1,6 @@
-//! Whether a lens model is too simple for the lens. Its own residuals show that poorly: the board's
-//! shape and the poses take up what the lens leaves, and the focal length goes along. A model that
-//! was chosen is asked too: the choice takes a larger one only if it is better beyond chance.
+//! Whether a lens model is too simple for the lens. Its own residuals show that poorly, because the
+//! board's shape, the poses and the focal length absorb the error. A model that was chosen is tested
+//! too: the choice takes a larger one only if it is better beyond chance.
 
 use crate::estimation::camera_estimate::CameraEstimate;
 use crate::estimation::camera_fit::{CameraFit, fit_camera};

@@ -12,8 +12,8 @@ use crate::estimation::nearest_lens::nearest_from;
 use crate::estimation::uncertainty::{Distance, projection_uncertainty};
 use crate::geometry::lens::Lens;
 
-/// The odds of another model beside the chosen one, at most: a model that is likelier was not chosen
-/// for what it does beyond the views.
+/// Upper bound of another model's odds: a likelier one was not chosen because it is uncertain
+/// outside the views.
 const EVEN: f64 = 1.0;
 
 /// A model of smaller odds is left out (Occam's window of D. Madigan, A. E. Raftery, *Model selection

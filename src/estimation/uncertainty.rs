@@ -64,9 +64,8 @@ pub struct UncertaintyMap {
     pub square_px2: Vec<Option<f64>>,
     /// The covariance of the error at each pixel of the grid, in px².
     pub covariance_px2: Vec<Option<Matrix2<f64>>>,
-    /// How much each pixel of the grid had to say in the compensating motion: 1 for all that are
-    /// known about equally well, less for those that are known much worse than most, 0 where the
-    /// lens sees nothing.
+    /// The weight of each pixel of the grid in the fit of the compensating motion: 1, less where the
+    /// standard deviation is far above the median, 0 where nothing is projected.
     pub weights: Vec<f64>,
 }
 

@@ -149,7 +149,7 @@ impl Parameters {
     }
 }
 
-/// How every route that takes a document refuses a body, beside fields that cannot be.
+/// The error responses that are common to all routes with a JSON body.
 #[derive(utoipa::IntoResponses)]
 #[expect(dead_code, reason = "describes what `document` answers")]
 pub(super) enum BodyRefusals {

@@ -29,8 +29,8 @@ pub struct Supervision {
     pub first_retry: Duration,
     /// The longest such wait. Default: 5 s.
     pub longest_retry: Duration,
-    /// How often a device is asked whether it still stands as the last session held it. Default: 2
-    /// s.
+    /// How often the device is asked whether focus, zoom and exposure still have the values of the
+    /// last session. Default: 2 s.
     pub moved_check: Duration,
     /// The wait before a source that needs a person is tried again. Default: 10 s.
     pub failed_retry: Duration,
@@ -346,7 +346,7 @@ impl Capture {
     }
 }
 
-/// The recorded distance between frames that are shown to nobody in particular.
+/// Paces an idle replay at its recorded frame interval.
 #[derive(Default)]
 struct IdlePace {
     last_ns: Option<i64>,

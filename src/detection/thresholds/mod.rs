@@ -7,8 +7,7 @@
 //! | `markers` | boards with markers: lattice, labels, what is reported |
 //! | `entry` | a threshold's value, unit and origin |
 //!
-//! They are one value, [`Thresholds`], that goes through the pipeline beside the image: no stage
-//! compares with a number of its own. The sensitivity bench (`benches/thresholds.rs`) changes one
+//! They are one value, [`Thresholds`], that goes through the pipeline beside the image. The sensitivity bench (`benches/thresholds.rs`) changes one
 //! at a time by a fifth and counts what that costs in recall, in wrong boards and in accuracy;
 //! `docs/detection/thresholds.md` is its table.
 

@@ -1,7 +1,7 @@
 //! Residuals and their derivatives, one observation of the board at a time, squared into normal
 //! equations.
 //!
-//! A observation's derivatives are kept as columns (one parameter each; all corners' x, then all
+//! An observation's derivatives are kept as columns (one parameter each; all corners' x, then all
 //! corners' y), so that every product of the normal equations is a dot product of two contiguous
 //! columns. Local columns: the lens's free parameters, the warp's two, the pose's six (rotation ω,
 //! translation τ in the sensor's frame), the residual.

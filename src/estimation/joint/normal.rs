@@ -328,7 +328,7 @@ fn dot6(a: &[f64; 6], b: &[f64; 6]) -> f64 {
     (a[0] * b[0] + a[1] * b[1]) + (a[2] * b[2] + a[3] * b[3]) + (a[4] * b[4] + a[5] * b[5])
 }
 
-/// L of L Lᵀ = A + λ diag A, with the reciprocals of its diagonal in place of the diagonal. An
+/// L of L Lᵀ = A + λ diag A, with the reciprocals of its diagonal in place of the diagonal. A
 /// frame set that nothing sees (A = 0) gets an L that solves to 0.
 fn cholesky6(matrix: &[[f64; 6]; 6], lambda: f64) -> Option<[[f64; 6]; 6]> {
     let mut factor = [[0.0; 6]; 6];

@@ -2,7 +2,7 @@
 //! later than the first.
 //!
 //! With u the board's velocity (angular and linear) in the second sensor's frame when the first
-//! takes its image, and T the sensors' pose, a image that is taken by δ later shows the board
+//! takes its image, and T the sensors' pose, an image that is taken by δ later shows the board
 //! at T · first_from_board moved by δ · u. Both δ and what T is off by are linear in how far that
 //! is from where the second sensor sees the board. Velocities come from cubic splines through the
 //! first sensor's poses: their slope follows motion up to the rate of the frames, where differences

@@ -102,8 +102,8 @@ struct Line {
     offset: f64,
 }
 
-/// The information on an offset, in m², that keeps readings of one depth solvable: as if it were
-/// known to 1/m beforehand, which is nothing.
+/// A weak prior on the offset (information in m²: a standard deviation of 1/m) that keeps readings
+/// at a single depth solvable.
 const LEAST_INFORMATION: f64 = 1.0;
 
 impl Line {
