@@ -42,6 +42,7 @@
 //! ```
 
 mod error;
+mod not_as_expected;
 mod place;
 mod settings;
 pub mod source;

@@ -9,6 +9,7 @@ use toml::Spanned;
 
 use crate::calibration::session_record::SessionRequest;
 use crate::config::error::ConfigError;
+use crate::config::not_as_expected::{not_as_expected, one_line};
 use crate::config::place::Place;
 use crate::config::settings::{CameraConfig, Config, Overrides, RigConfig, Ros2Config, TlsFiles};
 use crate::config::token_file::read_tokens;
@@ -53,7 +54,7 @@ struct Tables {
 }
 
 #[derive(Debug, Default, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, expecting = "a table")]
 struct ServerTable {
     listen: Option<Spanned<String>>,
     token_file: Option<Spanned<PathBuf>>,
@@ -62,7 +63,7 @@ struct ServerTable {
 }
 
 #[derive(Debug, Default, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, expecting = "a table")]
 struct StoreTable {
     path: Option<PathBuf>,
     min_free_mb: Option<u32>,
@@ -75,13 +76,13 @@ struct StoreTable {
 }
 
 #[derive(Debug, Default, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, expecting = "a table")]
 struct CalibrationTable {
     auto_approve: Option<bool>,
 }
 
 #[derive(Debug, Default, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, expecting = "a table")]
 struct Ros2Table {
     publish: Option<Spanned<bool>>,
     domain_id: Option<Spanned<u16>>,
@@ -91,14 +92,14 @@ struct Ros2Table {
 }
 
 #[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, expecting = "a table")]
 struct CameraTable {
     name: Spanned<String>,
     source: Spanned<WrittenSource>,
 }
 
 #[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, expecting = "a table")]
 struct RigTable {
     name: Spanned<String>,
     cameras: Spanned<Vec<String>>,
@@ -114,20 +115,7 @@ impl Written {
         let place = Place { file: file.to_owned(), text: text.to_owned() };
         match toml::from_str(text) {
             Ok(tables) => Ok(Self { tables, place }),
-            Err(error) => {
-                let span = error.span().unwrap_or(0..0);
-                let named = error
-                    .message()
-                    .split('`')
-                    .nth(1)
-                    .filter(|_| error.message().contains(" field `"));
-                let key = named.map(str::to_owned).or_else(|| place.key_before(&span));
-                Err(place.refuse(
-                    &span,
-                    key.as_deref().unwrap_or("syntax"),
-                    one_line(error.message()),
-                ))
-            }
+            Err(error) => Err(not_as_expected(&error, &place)),
         }
     }
 
@@ -321,8 +309,4 @@ fn check_name(
         return refuse("is used twice; each camera and each rig needs its own name");
     }
     Ok(text.clone())
-}
-
-fn one_line(message: &str) -> String {
-    message.split_whitespace().collect::<Vec<_>>().join(" ")
 }

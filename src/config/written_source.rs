@@ -17,7 +17,7 @@ use crate::simulation::OperatorKind;
 
 /// The table as written: every key that some kind takes.
 #[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, expecting = "a table")]
 pub(crate) struct WrittenSource {
     pub(super) kind: Spanned<String>,
     pub(super) device: Option<Spanned<PathBuf>>,
