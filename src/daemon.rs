@@ -21,7 +21,7 @@ use tokio::sync::watch;
 
 pub use crate::daemon::error::DaemonError;
 
-use crate::config::Config;
+use crate::config::{Config, Overrides};
 use crate::daemon::reload::Reload;
 use crate::daemon::sources::{plan_of, rig_of};
 use crate::document::time;
@@ -37,12 +37,16 @@ const HTTP_THREADS: usize = 2;
 /// What a request may still be computing when everything else has ended.
 const LAST_WAIT: Duration = Duration::from_millis(100);
 
-/// Runs until the process is asked to end (Ctrl-C, SIGTERM); `file` is where `config` came from,
-/// and what SIGHUP reads again.
+/// Runs until the process is asked to end (Ctrl-C, SIGTERM); `file` is where `config` came from, but
+/// for `overrides`, and what SIGHUP reads again.
 ///
 /// # Errors
 /// [`DaemonError`] when it cannot start.
-pub fn run(config: &Config, file: Option<PathBuf>) -> Result<(), DaemonError> {
+pub fn run(
+    config: &Config,
+    file: Option<PathBuf>,
+    overrides: Overrides,
+) -> Result<(), DaemonError> {
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(HTTP_THREADS)
         .thread_name("http")
@@ -52,12 +56,16 @@ pub fn run(config: &Config, file: Option<PathBuf>) -> Result<(), DaemonError> {
             what: "the threads for HTTP could not be started",
             source,
         })?;
-    let outcome = run_on(&runtime, config, file);
+    let outcome = run_on(&runtime, config, (file, overrides));
     runtime.shutdown_timeout(LAST_WAIT);
     outcome
 }
 
-fn run_on(runtime: &Runtime, config: &Config, file: Option<PathBuf>) -> Result<(), DaemonError> {
+fn run_on(
+    runtime: &Runtime,
+    config: &Config,
+    (file, overrides): (Option<PathBuf>, Overrides),
+) -> Result<(), DaemonError> {
     // Before anything is begun, so that a signal that comes early ends it as cleanly as a late one.
     let stop = runtime.block_on(async { asked_to_stop() })?;
     let address = config.listen;
@@ -90,6 +98,7 @@ fn run_on(runtime: &Runtime, config: &Config, file: Option<PathBuf>) -> Result<(
         access: Arc::clone(&access),
         tls: tls.clone(),
         file: file.clone(),
+        overrides,
         config: config.clone(),
         running,
     };

@@ -31,5 +31,5 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         args.config.clone().or_else(|| default_file.exists().then(|| default_file.to_owned()));
     let overrides = Overrides { listen: args.listen.clone() };
     let config = Config::load(file.as_deref(), &overrides).map_err(Failure::usage)?;
-    daemon::run(&config, file).map_err(Failure::failed)
+    daemon::run(&config, file, overrides).map_err(Failure::failed)
 }

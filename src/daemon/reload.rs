@@ -19,6 +19,8 @@ pub(super) struct Reload {
     pub(super) access: Arc<Access>,
     pub(super) tls: Option<Arc<Tls>>,
     pub(super) file: Option<PathBuf>,
+    /// What the command line said.
+    pub(super) overrides: Overrides,
     pub(super) config: Config,
     /// What runs, for who follows it.
     pub(super) running: watch::Sender<Config>,
@@ -57,9 +59,7 @@ impl Reload {
     }
 
     fn reload(&mut self, file: &Path) {
-        // The command line went into what is running; the address does not change any more.
-        let overrides = Overrides { listen: Some(self.config.listen.to_string()) };
-        let config = match Config::load(Some(file), &overrides) {
+        let config = match Config::load(Some(file), &self.overrides) {
             Ok(config) => config,
             Err(error) => {
                 tracing::error!(
