@@ -40,6 +40,7 @@ pub fn with_depth(
     if let Some(color) = calibration.image_mut(SensorKind::Color) {
         set_lens(color, joint.color, &joint.color_covariance);
         seen.place(color, &solved.color, SensorKind::Color);
+        calibration.verdict = solved.color.verdict_of(color);
     }
     // What views that were held out of color's own solve say is not said of this one.
     calibration.checks.held_out_rms_px = None;
@@ -50,10 +51,11 @@ pub fn with_depth(
         infrared.sensor.board_shape = solved.color.sensor.board_shape.clone();
         infrared.sensor.board_warp_m = solved.color.sensor.board_warp_m;
         seen.place(&mut infrared.sensor, &alone, SensorKind::Infrared);
+        let of_infrared = alone.verdict_of(&infrared.sensor);
         let id = SensorId::own(SensorKind::Infrared);
         calibration.add_sensor(CalibratedSensor::image(id, infrared.sensor));
         calibration.extrinsics.push(extrinsics(SensorKind::Infrared, joint));
-        calibration.verdict = both(calibration.verdict, infrared.verdict);
+        calibration.verdict = both(calibration.verdict, of_infrared);
     }
     calibration.verdict =
         judged_with_depth(calibration.verdict, (input, solved), (of_depth, &depth));

@@ -34,9 +34,36 @@ pub struct SolvedCamera {
     pub verdict: Verdict,
     /// The estimate itself: residuals, covariances, and what to start from when views are added.
     pub estimate: CameraEstimate,
+    basis: VerdictBasis,
+}
+
+/// What a verdict rests on besides the estimate and its uncertainty.
+#[derive(Debug, Clone, PartialEq)]
+struct VerdictBasis {
+    model_check: ModelCheck,
+    coverage: Coverage,
+    /// Whether pixels were taken as square.
+    square_pixels: bool,
+}
+
+impl VerdictBasis {
+    fn verdict(&self, estimate: &CameraEstimate, uncertainty: Option<&UncertaintyMap>) -> Verdict {
+        let Self { model_check, coverage, square_pixels } = self;
+        let mut verdict = verdict::judge(estimate, uncertainty, model_check, coverage);
+        if let Some(doubt) = verdict::square_pixels(estimate).filter(|_| *square_pixels) {
+            verdict.lower(Grade::Usable, doubt);
+        }
+        verdict
+    }
 }
 
 impl SolvedCamera {
+    /// The verdict with the uncertainty of `sensor`, which a solve with other sensors made smaller.
+    pub(super) fn verdict_of(&self, sensor: &ImageCalibration) -> Verdict {
+        let uncertainty = sensor_uncertainty(sensor, UNCERTAINTY_COLUMNS, Distance::Infinity);
+        self.basis.verdict(&self.estimate, uncertainty.as_ref())
+    }
+
     /// The calibration that it amounts to, of an instrument that is this one sensor.
     pub fn into_calibration(self, target: Option<Target>) -> Calibration {
         let color = CalibratedSensor::image(SensorId::own(SensorKind::Color), self.sensor);
@@ -68,11 +95,9 @@ pub fn solve_views(
     if let Some(given) = &options.measured_board {
         (sensor.board_warp_m, sensor.board_shape) = (Some(given.bow_m), Some(given.clone()));
     }
-    let mut verdict = verdict::judge(&estimate, uncertainty.as_ref(), &model_check, &coverage);
-    if let Some(doubt) = verdict::square_pixels(&estimate, options) {
-        verdict.lower(Grade::Usable, doubt);
-    }
-    Ok(SolvedCamera { sensor, checks, verdict, estimate })
+    let basis = VerdictBasis { model_check, coverage, square_pixels: options.square_pixels };
+    let verdict = basis.verdict(&estimate, uncertainty.as_ref());
+    Ok(SolvedCamera { sensor, checks, verdict, estimate, basis })
 }
 
 /// Calibrates a camera without distortion from one view of points in space, by the direct linear
@@ -89,9 +114,9 @@ pub(super) fn solve_dlt(
     let checks = Checks { coverage: coverage.fraction(), ..Checks::default() };
     let uncertainty = uncertainty_map(&estimate, UNCERTAINTY_COLUMNS, Distance::Infinity);
     let sensor = with_uncertainty(&estimate, uncertainty.as_ref());
-    let verdict =
-        verdict::judge(&estimate, uncertainty.as_ref(), &ModelCheck::default(), &coverage);
-    Ok(SolvedCamera { sensor, checks, verdict, estimate })
+    let basis = VerdictBasis { model_check: ModelCheck::default(), coverage, square_pixels: false };
+    let verdict = basis.verdict(&estimate, uncertainty.as_ref());
+    Ok(SolvedCamera { sensor, checks, verdict, estimate, basis })
 }
 
 /// The running estimate of a session: as [`solve_views`], without the checks.

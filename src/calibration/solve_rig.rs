@@ -130,13 +130,9 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
         }
         extrinsics.extend(joint.extrinsics);
     }
+    let verdict = verdict(&alone, &sensors, findings);
     let sensors = alone.iter().zip(sensors).map(|(one, sensor)| (one.input.id.clone(), sensor));
-    Ok(SolvedRig {
-        sensors: sensors.collect(),
-        extrinsics,
-        checks: checks(&alone),
-        verdict: verdict(&alone, findings),
-    })
+    Ok(SolvedRig { sensors: sensors.collect(), extrinsics, checks: checks(&alone), verdict })
 }
 
 /// Two sensors that could be calibrated, of two cameras where there are as many.
@@ -215,18 +211,20 @@ fn checks(alone: &[Alone<'_>]) -> Checks {
     }
 }
 
-/// What holds of each camera by itself, and of all together.
-fn verdict(alone: &[Alone<'_>], mut findings: Vec<(Grade, String)>) -> Verdict {
-    for one in alone {
-        let Verdict { grade, reasons } = &one.solved.verdict;
-        findings
-            .extend(reasons.iter().map(|reason| (*grade, format!("{}: {reason}", one.input.name))));
+/// What holds of each camera by itself, with the uncertainty that it has in `sensors` together, and
+/// of all.
+fn verdict(
+    alone: &[Alone<'_>],
+    sensors: &[ImageCalibration],
+    mut findings: Vec<(Grade, String)>,
+) -> Verdict {
+    let mut grade = findings.iter().map(|(grade, _)| *grade).min().unwrap_or(Grade::Good);
+    for (one, sensor) in alone.iter().zip(sensors) {
+        let of_camera = one.solved.verdict_of(sensor);
+        let named = |reason| (of_camera.grade, format!("{}: {reason}", one.input.name));
+        grade = grade.min(of_camera.grade);
+        findings.extend(of_camera.reasons.into_iter().map(named));
     }
-    let grades = alone
-        .iter()
-        .map(|one| one.solved.verdict.grade)
-        .chain(findings.iter().map(|(grade, _)| *grade));
-    let grade = grades.min().unwrap_or(Grade::Good);
     findings.sort_by_key(|(grade, _)| *grade);
     Verdict { grade, reasons: findings.into_iter().map(|(_, reason)| reason).collect() }
 }

@@ -3,7 +3,7 @@
 use crate::calibration::coverage::Coverage;
 use crate::calibration::result::{Grade, Verdict};
 use crate::calibration::rounded::value_with_std;
-use crate::estimation::camera::{CameraEstimate, CameraOptions};
+use crate::estimation::camera::CameraEstimate;
 use crate::estimation::known_together::known_only_together;
 use crate::estimation::lens_misfit::LensMisfit;
 use crate::estimation::lens_pole::has_pole;
@@ -67,8 +67,8 @@ const ASPECT: f64 = 5e-4;
 
 /// Whether a board seems longer one way where pixels were taken as square: pixels that are not
 /// square give the same residuals.
-pub(crate) fn square_pixels(estimate: &CameraEstimate, options: &CameraOptions) -> Option<String> {
-    let shape = estimate.board_shape.as_ref().filter(|_| options.square_pixels)?;
+pub(crate) fn square_pixels(estimate: &CameraEstimate) -> Option<String> {
+    let shape = estimate.board_shape.as_ref()?;
     let percent = 100.0 * shape.aspect();
     (percent.abs() > 100.0 * ASPECT).then(|| {
         format!(
