@@ -1,7 +1,5 @@
 //! Cameras of a rig that share views, solved together.
 
-use nalgebra::{Matrix3, Matrix6, Vector3};
-
 use crate::calibration::result::{Extrinsics, Grade, ImageCalibration, pose_std};
 use crate::calibration::rig_input::RigInput;
 use crate::calibration::rig_member::Alone;
@@ -168,28 +166,16 @@ fn largest(values: [f64; 3]) -> f64 {
     values.into_iter().fold(0.0, f64::max)
 }
 
-/// The pose the other way round, with its covariance carried along: with R, t of `sensor_from_rig`,
-/// a rotation ω and a translation τ of it are −Rᵀω and −Rᵀτ − Rᵀ\[t\]ω of its inverse.
+/// The pose the other way round, with its covariance carried along.
 fn reference_from(reference: &SensorId, sensor: &SensorId, place: &SensorPlace) -> Extrinsics {
-    let rig_from_sensor = place.sensor_from_rig.inverse();
-    let back = rig_from_sensor.rotation_matrix();
-    let mut by_place = Matrix6::zeros();
-    by_place.fixed_view_mut::<3, 3>(0, 0).copy_from(&-back);
-    by_place.fixed_view_mut::<3, 3>(3, 3).copy_from(&-back);
-    by_place
-        .fixed_view_mut::<3, 3>(3, 0)
-        .copy_from(&(-back * cross(&place.sensor_from_rig.translation())));
+    let by_place = place.sensor_from_rig.inverse_jacobian();
     let (rotation_std, translation_std) =
         pose_std(&(by_place * place.covariance * by_place.transpose()));
     Extrinsics {
         target: reference.clone(),
         source: sensor.clone(),
-        target_from_source: rig_from_sensor,
+        target_from_source: place.sensor_from_rig.inverse(),
         rotation_std: rotation_std.into(),
         translation_std_m: translation_std.into(),
     }
-}
-
-fn cross(v: &Vector3<f64>) -> Matrix3<f64> {
-    v.cross_matrix()
 }

@@ -11,7 +11,6 @@
 use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix3xX, Point3, Vector3};
 
 use crate::estimation::camera_fit::CameraFit;
-use crate::estimation::joint::linearize::cross;
 use crate::estimation::problem::{BoardShape, CameraOptions, Shutter};
 use crate::geometry::pixel::Pixel;
 
@@ -217,7 +216,7 @@ fn linearized(fit: &CameraFit, view: usize, extra: Extra) -> Option<(DMatrix<f64
         }
         for (part, time) in [Some(1.0), extra.time(seen)].into_iter().flatten().enumerate() {
             let at = extra.shape + 6 * part;
-            moved.fixed_view_mut::<3, 3>(0, at).copy_from(&(-cross(&rotated) * time));
+            moved.fixed_view_mut::<3, 3>(0, at).copy_from(&(-rotated.cross_matrix() * time));
             moved
                 .fixed_view_mut::<3, 3>(0, at + 3)
                 .copy_from(&(nalgebra::Matrix3::identity() * time));

@@ -55,6 +55,7 @@ pub mod scene;
 mod shape_widening;
 mod start;
 mod starts_from_other_lenses;
+pub(crate) mod student;
 pub mod two_view;
 pub mod uncertainty;
 pub mod view_fault;

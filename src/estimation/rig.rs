@@ -37,7 +37,7 @@ pub struct RigSensor {
     pub image_size: ImageSize,
     /// What it saw, and at which frame set (counted from 0).
     pub views: Vec<(usize, BoardView)>,
-    /// What to estimate of its lens; `warp` holds for the rig if it is set for the first sensor.
+    /// What to estimate of its lens.
     pub options: CameraOptions,
     /// Covariance of its lens by a solve of its own that measured the board's shape, which it
     /// counts, where `options.measured_board` comes of it; `None` for a board of known shape.
@@ -188,11 +188,10 @@ fn fit_jointly(
             .into_iter()
             .map(|pose| pose.unwrap_or(Pose::identity()))
             .collect(),
-        warp: alone[0].1.robust.minimum.state.warp,
+        warp: [0.0; 2],
     };
     let lenses = alone.iter().map(|(_, fit)| fit.layout.sensors[0].lens.clone()).collect();
-    let layout = Layout::new(lenses, alone[0].1.layout.warp.map(|(_, extent)| extent))
-        .ended_by(&alone[0].1.layout.interrupt);
+    let layout = Layout::new(lenses, None).ended_by(&alone[0].1.layout.interrupt);
     let robust =
         robust_fit(&layout, state, &mut observations, &mut faults).ok_or(EstimationError::NoFit)?;
     Ok(CameraFit::new(layout, robust, observations, faults))

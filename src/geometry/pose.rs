@@ -2,8 +2,8 @@
 //! a.
 
 use nalgebra::{
-    Isometry3, Matrix3, Point3, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3,
-    Vector6,
+    Isometry3, Matrix3, Matrix6, Point3, Quaternion, Rotation3, Translation3, UnitQuaternion,
+    Vector3, Vector6,
 };
 
 /// A rigid transform between two frames. A value is named `a_from_b`, and `p_a = a_from_b * p_b`.
@@ -66,6 +66,19 @@ impl Pose {
         Self::new(inverse.rotation, inverse.translation.vector)
     }
 
+    /// How the inverse moves with this pose: its derivative by a rotation ω about a's axes and a
+    /// translation τ, (−Rᵀω, −Rᵀτ + t' × Rᵀω) with t' the inverse's translation.
+    pub(crate) fn inverse_jacobian(&self) -> Matrix6<f64> {
+        let b_from_a = self.inverse();
+        let rotation = b_from_a.rotation_matrix();
+        let mut jacobian = Matrix6::zeros();
+        jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&-rotation);
+        jacobian.fixed_view_mut::<3, 3>(3, 3).copy_from(&-rotation);
+        let by_rotation = b_from_a.translation().cross_matrix() * rotation;
+        jacobian.fixed_view_mut::<3, 3>(3, 0).copy_from(&by_rotation);
+        jacobian
+    }
+
     /// The rotation angle between this pose and `other`, in radians.
     pub fn angle_to(&self, other: &Self) -> f64 {
         self.isometry.rotation.angle_to(&other.isometry.rotation)
@@ -115,5 +128,26 @@ mod tests {
         assert!((twice - (a_from_b * b_from_c) * point_in_c).norm() < 1e-14);
         assert!((a_from_b.inverse() * (a_from_b * point_in_c) - point_in_c).norm() < 1e-14);
         assert!(a_from_b.rotation().w >= 0.0 && (a_from_b * b_from_c).rotation().w >= 0.0);
+    }
+
+    #[test]
+    fn the_inverse_moves_as_its_jacobian_says() {
+        const STEP: f64 = 1e-6;
+        let a_from_b =
+            Pose::from_axis_angle(Vector3::new(0.3, -0.9, 0.4), Vector3::new(1.0, 2.0, -0.5));
+        let moved = |step: &Vector6<f64>| {
+            let rotation = UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(0).into_owned());
+            let translation = a_from_b.translation() + step.fixed_rows::<3>(3);
+            Pose::new(rotation * a_from_b.rotation(), translation).inverse()
+        };
+        let jacobian = a_from_b.inverse_jacobian();
+        for axis in 0..6 {
+            let step = Vector6::ith(axis, STEP);
+            let [after, before] = [moved(&step), moved(&-step)];
+            let rotation = (after.rotation() * before.rotation().inverse()).scaled_axis();
+            let numeric = pose_step(&rotation, &(after.translation() - before.translation()));
+            let difference = numeric / (2.0 * STEP) - jacobian.column(axis);
+            assert!(difference.norm() < 1e-8, "{axis}: {difference}");
+        }
     }
 }

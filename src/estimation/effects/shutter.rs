@@ -11,6 +11,7 @@ use crate::estimation::effects::search::{EffectSearch, LEAST_GROUP_GAIN, MAX_STE
 use crate::estimation::effects::state::Scene;
 use crate::estimation::effects::system::ViewPart;
 use crate::estimation::normal_probability::normal_probability;
+use crate::estimation::student::normal_deviations;
 use crate::geometry::median::median;
 
 /// Views agree where their mean is this many of its standard deviations from 0: less than five
@@ -97,31 +98,5 @@ impl ReadByRows {
             agreement: if t > 0.0 { beyond_chance } else { 0.0 },
             probability: normal_probability(deviations),
         })
-    }
-}
-
-/// How many standard deviations of a normal distribution are as rare as a mean that is `t` of its
-/// own from 0, estimated with `freedom` degrees of freedom (D. L. Wallace, *Bounds on normal
-/// approximations to Student's and the chi-square distributions*, 1959; within 0.04 from three
-/// degrees on).
-fn normal_deviations(t: f64, freedom: f64) -> f64 {
-    let freedom = freedom.max(1.0);
-    let size = (freedom * (t * t / freedom).ln_1p()).sqrt();
-    (8.0 * freedom + 1.0) / (8.0 * freedom + 3.0) * size.copysign(t)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Of the tables of Student's distribution: half a percent beyond, at 3, 5, 14 and 29 degrees of
-    /// freedom.
-    #[test]
-    fn deviations_are_as_rare_as_those_of_student_s_distribution() {
-        for (freedom, t) in [(3.0, 5.841), (5.0, 4.032), (14.0, 2.977), (29.0, 2.756)] {
-            let deviations = normal_deviations(t, freedom);
-            assert!((deviations - 2.576).abs() < 0.04, "{freedom}: {deviations}");
-            assert_eq!(normal_deviations(-t, freedom), -deviations);
-        }
     }
 }

@@ -6,7 +6,7 @@
 //! columns. Local columns: the lens's free parameters, the warp's two, the pose's six (rotation ω,
 //! translation τ in the sensor's frame), the residual.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 use pulp::{Arch, Simd, WithSimd};
 
 use crate::estimation::joint::{BoardObservation, Layout, State};
@@ -383,9 +383,4 @@ fn tile<S: Simd>(
         }
     }
     sums
-}
-
-/// The matrix of the cross product from the left: `cross(v) * w` = v × w.
-pub(crate) fn cross(v: &Vector3<f64>) -> Matrix3<f64> {
-    Matrix3::new(0.0, -v.z, v.y, v.z, 0.0, -v.x, -v.y, v.x, 0.0)
 }

@@ -4,7 +4,7 @@
 
 use nalgebra::{DMatrix, DVector, Matrix6};
 
-use crate::estimation::joint::linearize::{self, Columns, LocalEquations, linearize_observation};
+use crate::estimation::joint::linearize::{Columns, LocalEquations, linearize_observation};
 use crate::estimation::joint::{BoardObservation, Layout, State};
 use crate::estimation::robust::Loss;
 
@@ -313,7 +313,7 @@ pub(crate) fn chain(
     let rotation = state.sensor_from_rig[sensor].rotation_matrix();
     let lever = rotation * state.rig_from_board[frame_set].translation();
     let mut by_sensor = Matrix6::identity();
-    by_sensor.fixed_view_mut::<3, 3>(3, 0).copy_from(&-linearize::cross(&lever));
+    by_sensor.fixed_view_mut::<3, 3>(3, 0).copy_from(&-lever.cross_matrix());
     let mut by_board = Matrix6::zeros();
     by_board.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
     by_board.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotation);

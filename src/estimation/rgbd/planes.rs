@@ -301,7 +301,7 @@ impl<'a> Planes<'a> {
             }
         };
         let depth_from_color = fit.state.sensor_from_rig[1];
-        let by_step = inverse_step(&depth_from_color);
+        let by_step = depth_from_color.inverse_jacobian();
         let correction = (fit.correction.terms > 0).then(|| fit.correction.clone());
         let uncentered =
             |color_from_board: &Pose| with_origin_at(color_from_board, &-corners.center);
@@ -418,17 +418,4 @@ pub(super) fn scaled(plane: &PlaneObservation, noise: f64) -> PlaneObservation {
         inverse_std: plane.inverse_std.iter().map(|s| s / noise).collect(),
         ..plane.clone()
     }
-}
-
-/// How the inverse of a pose moves when the pose is moved by (ω, τ): ω' = −Rᵀω, τ' = −Rᵀτ + t' ×
-/// Rᵀω with t' the inverse's translation.
-fn inverse_step(a_from_b: &Pose) -> Matrix6<f64> {
-    let inverse = a_from_b.inverse();
-    let rotation = inverse.rotation_matrix();
-    let mut by_step = Matrix6::zeros();
-    by_step.fixed_view_mut::<3, 3>(0, 0).copy_from(&-rotation);
-    by_step.fixed_view_mut::<3, 3>(3, 3).copy_from(&-rotation);
-    let lever = crate::estimation::joint::linearize::cross(&inverse.translation()) * rotation;
-    by_step.fixed_view_mut::<3, 3>(3, 0).copy_from(&lever);
-    by_step
 }
