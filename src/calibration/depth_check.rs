@@ -7,6 +7,7 @@ use nalgebra::{Matrix6, Vector3, Vector6};
 use crate::calibration::depth_calibration::{DepthBias, DepthCalibration};
 use crate::calibration::plane_error::{PatchError, patch_errors};
 use crate::calibration::result::Extrinsics;
+use crate::estimation::rgbd::motion::MovingBoard;
 use crate::geometry::median::median;
 use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
@@ -23,11 +24,11 @@ const LEAST_TO_LEAVE_ONE_OUT: usize = 4;
 /// A change along a direction that the views show this much less than along others is not shown.
 const NOT_SHOWN: f64 = 1e-9;
 
-/// The depth image of a view, and where color sees the board.
+/// The depth image of a view, and where the board was by color.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DepthView {
-    /// The board in color.
-    pub color_from_board: Pose,
+    /// The board in color's frame, and where it may have moved to when depth was taken.
+    pub board: MovingBoard,
     /// The depth image.
     pub image: DepthImage,
 }
@@ -37,8 +38,11 @@ pub struct DepthView {
 pub struct DepthCheck {
     /// By distance, nearest first; those of the calibration, as far as they were seen.
     pub ranges: Vec<CheckedRange>,
-    /// Views with readings on the board.
+    /// Views with readings on the board, without those of `moving`.
     pub views: usize,
+    /// Views in which depth is off the board as far as the board's motion may have carried it: they
+    /// say nothing of depth.
+    pub moving: usize,
     /// How far patches are off: the robust figure of each view, squared, in the mean over views. Its
     /// unit is the standard deviation of held-out views' patches, with what the sensors' calibrated
     /// pose leaves open. A view whose board moved between the images is no change: of four and more
@@ -86,23 +90,20 @@ impl DepthCheck {
         board: &Target,
         views: &[DepthView],
     ) -> Self {
-        let errors = |view: &DepthView| {
-            let camera = (&depth.camera, &color_from_depth.target_from_source);
-            let image = (&view.image, depth.invalid);
-            patch_errors(camera, (board, &view.color_from_board), image)
-        };
-        let mut seen: Vec<Vec<PatchError>> = views.iter().map(errors).collect();
-        seen.retain(|patches| !patches.is_empty());
         let known = CalibratedErrors { depth, color_from_depth };
+        let with_depth = views.iter().filter_map(|view| known.view(board, view));
+        let (moving, still): (Vec<_>, Vec<_>) = with_depth.partition(|(_, is_moving)| *is_moving);
+        let seen: Vec<Vec<SeenPatch>> = still.into_iter().map(|(patches, _)| patches).collect();
         let places = 0..depth.bias.len().max(1);
-        let relative = |patches: &Vec<PatchError>| {
-            median(patches.iter().map(|one| one.error_m / one.point_in_depth.z).collect())
+        let relative = |patches: &Vec<SeenPatch>| {
+            median(patches.iter().map(|one| one.patch.error_m / one.z_m()).collect())
         };
         let relative: Vec<f64> = seen.iter().filter_map(relative).collect();
         Self {
             ranges: places.filter_map(|place| range(&known, place, &seen)).collect(),
             views: seen.len(),
-            off_sigmas: off_sigmas(&known, &seen),
+            moving: moving.len(),
+            off_sigmas: off_sigmas(&seen),
             relative_bias: median(relative.clone()).unwrap_or(0.0),
             relative_bias_std: median_std(&relative),
             visible_m: visible_m(&known, &seen),
@@ -126,7 +127,57 @@ struct CalibratedErrors<'a> {
     color_from_depth: &'a Extrinsics,
 }
 
+/// A patch of a view's board, and how far off it may be without a change.
+#[derive(Clone, Copy)]
+struct SeenPatch {
+    patch: PatchError,
+    /// The standard deviation of its error, in meters: that of held-out views, with what the
+    /// sensors' calibrated pose leaves open.
+    std_m: f64,
+}
+
+impl SeenPatch {
+    fn z_m(&self) -> f64 {
+        self.patch.point_in_depth.z
+    }
+}
+
 impl CalibratedErrors<'_> {
+    /// The patches of a view's board, where it was in color or where it had moved to since, as they
+    /// fit better, and whether they are off no farther than its motion can explain; `None` without
+    /// readings on the board.
+    fn view(&self, board: &Target, view: &DepthView) -> Option<(Vec<SeenPatch>, bool)> {
+        let MovingBoard { camera_from_board, camera_from_later, steps } = view.board;
+        let patches = |color_from_board: &Pose| {
+            let camera = (&self.depth.camera, &self.color_from_depth.target_from_source);
+            let image = (&view.image, self.depth.invalid);
+            let errors = patch_errors(camera, (board, color_from_board), image);
+            let seen = |patch| SeenPatch { patch, std_m: self.patch_std_m(&patch) };
+            errors.into_iter().map(seen).collect::<Vec<_>>()
+        };
+        let [still, later] = [camera_from_board, camera_from_later].map(|pose| patches(&pose));
+        let [off_still, off_later] = [&still, &later].map(|patches| view_sigmas(patches, &[]));
+        let best = if off_later < off_still { (later, off_later) } else { (still, off_still) };
+        let (patches, off) = (best.0, best.1?);
+        let motions = steps.map(|step| self.as_camera_motion(&step, &camera_from_board));
+        let is_moving = off > LIMIT_SIGMAS
+            && view_sigmas(&patches, &motions).is_some_and(|off| off <= LIMIT_SIGMAS);
+        Some((patches, is_moving))
+    }
+
+    /// The motion of the depth camera, (t, w) as for [`moved`], that changes depth as much as a
+    /// `step` of the board from `color_from_board` on: a point x of it moves by ω × (x - p) + τ, with
+    /// p the board's origin.
+    fn as_camera_motion(&self, step: &Vector6<f64>, color_from_board: &Pose) -> Vector6<f64> {
+        let [rotation, translation] = [0, 3].map(|at| step.fixed_rows::<3>(at).into_owned());
+        let of_color = translation + color_from_board.translation().cross(&rotation);
+        let depth_from_color = self.color_from_depth.target_from_source.inverse();
+        let rotation = depth_from_color * rotation;
+        let of_depth =
+            depth_from_color * of_color + depth_from_color.translation().cross(&rotation);
+        Vector6::from_iterator(of_depth.iter().chain(rotation.iter()).copied())
+    }
+
     /// The calibration's range for a distance: the one it is in, or the nearest.
     fn place(&self, z_m: f64) -> usize {
         let beside = |range: &DepthBias| (range.from_m - z_m).max(z_m - range.to_m).max(0.0);
@@ -156,20 +207,20 @@ impl CalibratedErrors<'_> {
 fn range(
     known: &CalibratedErrors<'_>,
     place: usize,
-    seen: &[Vec<PatchError>],
+    seen: &[Vec<SeenPatch>],
 ) -> Option<CheckedRange> {
-    let here = |patch: &&PatchError| known.place(patch.point_in_depth.z) == place;
+    let here = |one: &&SeenPatch| known.place(one.z_m()) == place;
     let of_view =
-        |patches: &Vec<PatchError>| patches.iter().filter(here).copied().collect::<Vec<_>>();
-    let views: Vec<Vec<PatchError>> =
+        |patches: &Vec<SeenPatch>| patches.iter().filter(here).copied().collect::<Vec<_>>();
+    let views: Vec<Vec<SeenPatch>> =
         seen.iter().map(of_view).filter(|patches| !patches.is_empty()).collect();
-    let errors = |patches: &[PatchError]| patches.iter().map(|patch| patch.error_m).collect();
+    let errors = |patches: &[SeenPatch]| patches.iter().map(|one| one.patch.error_m).collect();
     let all = views.concat();
-    let distances = || all.iter().map(|patch| patch.point_in_depth.z);
+    let distances = || all.iter().map(SeenPatch::z_m);
     let bias_m = median(errors(&all))?;
-    let absolute = all.iter().map(|patch| (patch.error_m - bias_m).abs()).collect();
+    let absolute = all.iter().map(|one| (one.patch.error_m - bias_m).abs()).collect();
     let of_views: Vec<f64> = views.iter().filter_map(|view| median(errors(view))).collect();
-    let stds = all.iter().map(|patch| known.patch_std_m(patch)).collect();
+    let stds = all.iter().map(|one| one.std_m).collect();
     Some(CheckedRange {
         seen_m: [distances().fold(f64::INFINITY, f64::min), distances().fold(0.0, f64::max)],
         bias_m,
@@ -181,13 +232,20 @@ fn range(
     })
 }
 
-/// How far views are off, see [`DepthCheck::off_sigmas`].
-fn off_sigmas(known: &CalibratedErrors<'_>, seen: &[Vec<PatchError>]) -> f64 {
-    let of_view = |patches: &Vec<PatchError>| {
-        let sigmas = |one: &PatchError| one.error_m.abs() / known.patch_std_m(one);
-        Some(SIGMA_PER_MAD * median(patches.iter().map(sigmas).collect())?)
+/// How far the patches of a view are off beyond what one of `motions` can explain, in the standard
+/// deviations that the calibration predicts.
+fn view_sigmas(patches: &[SeenPatch], motions: &[Vector6<f64>]) -> Option<f64> {
+    let sigmas = |one: &SeenPatch| {
+        let row = moved(&one.patch);
+        let explained_m = motions.iter().map(|step| row.dot(step).abs()).fold(0.0, f64::max);
+        (one.patch.error_m.abs() - explained_m).max(0.0) / one.std_m
     };
-    let mut views: Vec<f64> = seen.iter().filter_map(of_view).collect();
+    Some(SIGMA_PER_MAD * median(patches.iter().map(sigmas).collect())?)
+}
+
+/// How far views are off, see [`DepthCheck::off_sigmas`].
+fn off_sigmas(seen: &[Vec<SeenPatch>]) -> f64 {
+    let mut views: Vec<f64> = seen.iter().filter_map(|patches| view_sigmas(patches, &[])).collect();
     views.sort_by(f64::total_cmp);
     if views.len() >= LEAST_TO_LEAVE_ONE_OUT {
         views.pop();
@@ -215,11 +273,11 @@ fn moved(patch: &PatchError) -> Vector6<f64> {
 
 /// From how far on a move of the depth camera shows; patches of one view err together, so that each
 /// view counts as the three numbers of its plane.
-fn visible_m(known: &CalibratedErrors<'_>, seen: &[Vec<PatchError>]) -> Option<f64> {
+fn visible_m(known: &CalibratedErrors<'_>, seen: &[Vec<SeenPatch>]) -> Option<f64> {
     let mut information = Matrix6::zeros();
     for patches in seen {
         let weight = (3.0 / patches.len() as f64).min(1.0);
-        for patch in patches {
+        for SeenPatch { patch, .. } in patches {
             let row = moved(patch);
             let std_m = known.held_out_std_m(patch.point_in_depth.z);
             information += row * row.transpose() * (weight / (std_m * std_m));

@@ -1,6 +1,5 @@
 //! How far one lens projects from another, and how much of that can be chance.
 
-use crate::cli::verified::LIMIT_SIGMAS;
 use crate::estimation::uncertainty::{UncertaintyMap, projection_difference};
 use crate::geometry::lens::Lens;
 use crate::geometry::median::median;
@@ -15,13 +14,19 @@ pub(super) struct LensChange {
 }
 
 impl LensChange {
-    /// Between the `calibrated` lens and the one that is `seen`, with its uncertainty.
-    pub fn between(calibrated: &Lens, uncertainty: &UncertaintyMap, seen: &Lens) -> Option<Self> {
+    /// Between the `calibrated` lens and the one that is `seen`, with its uncertainty, of which so
+    /// many standard deviations, `sigmas`, are no chance.
+    pub fn between(
+        calibrated: &Lens,
+        seen: &Lens,
+        uncertainty: &UncertaintyMap,
+        sigmas: f64,
+    ) -> Option<Self> {
         let (grid, weights) = (uncertainty.grid, &uncertainty.weights);
         let moved = projection_difference(calibrated, seen, grid, weights);
         Some(Self {
             seen_px: median(moved.into_iter().flatten().map(|[x, y]| x.hypot(y)).collect())?,
-            visible_px: LIMIT_SIGMAS * uncertainty.median_and_worst()?.0,
+            visible_px: sigmas * uncertainty.median_and_worst()?.0,
         })
     }
 }

@@ -11,14 +11,11 @@ use crate::geometry::pixel::ImageSize;
 pub(super) const LIMIT_SIGMAS: f64 = 3.0;
 /// Smallest limit of a change, in pixels: less is not distinguishable from the images' own errors.
 pub(super) const LEAST_LIMIT_PX: f64 = 0.1;
-/// A calibration that is itself uncertain by more, in pixels, hides changes that matter: chosen, as
-/// overlays and depth registration are off by a visible amount from a pixel on.
+/// A change of the lens that shows only from more than this on, in pixels, is as good as not seen:
+/// chosen, as overlays and depth registration are off by a visible amount from a pixel on.
 pub(super) const CERTAIN_PX: f64 = 1.0;
 /// Columns of the grid that uncertainty is summed up over.
 pub(super) const COLUMNS: u32 = 12;
-/// Images that show a change only where it is this many times what is allowed show little; and a
-/// lens this many times farther off than chance and the calibration allow is another one.
-pub(super) const VISIBLE: f64 = 3.0;
 
 /// The answer.
 #[derive(Debug, Serialize)]
@@ -31,8 +28,8 @@ pub(super) struct Verified {
     /// The most that the calibration's own uncertainty allows, with that of the scene's lens where
     /// it was compared with a scene.
     pub limit_px: f64,
-    /// The least change of the lens that these images show, over the whole image; null where
-    /// they show none.
+    /// The least change of the lens, in the median over the image, that these images and the
+    /// calibration show; null where they show none.
     pub visible_px: Option<f64>,
     /// The error of these images with the lens as calibrated; null for a scene.
     pub rms_px: Option<f64>,
@@ -47,8 +44,7 @@ pub(super) struct Verified {
 
 impl Verified {
     fn answer(&self) -> &'static str {
-        let of_lens = self.limit_px <= CERTAIN_PX
-            && self.visible_px.is_some_and(|visible_px| visible_px <= VISIBLE * self.limit_px);
+        let of_lens = self.visible_px.is_some_and(|visible_px| visible_px <= CERTAIN_PX);
         match self.depth.as_ref().is_none_or(VerifiedDepth::saw_all) && of_lens {
             _ if !self.holds => "does not hold",
             true => "holds",

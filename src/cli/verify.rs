@@ -4,6 +4,7 @@
 //! them best. What the second explains and the first does not is how far the lens has moved where
 //! the corners are. Without a board, a static scene is asked (`verify_scene`).
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use crate::calibration::result::ImageCalibration;
@@ -15,14 +16,16 @@ use crate::cli::lens_change::LensChange;
 use crate::cli::search_args::SearchArgs;
 use crate::cli::target_args::ShapeOrSceneArgs;
 use crate::cli::verified::{
-    CERTAIN_PX, COLUMNS, LEAST_LIMIT_PX, LIMIT_SIGMAS, VISIBLE, Verified, print, same_size,
+    CERTAIN_PX, COLUMNS, LEAST_LIMIT_PX, LIMIT_SIGMAS, Verified, print, same_size,
 };
 use crate::cli::verify_depth::verify_depth;
 use crate::cli::verify_scene::verify_scene;
 use crate::estimation::camera::{CameraEstimate, CameraOptions, CameraStart, calibrate_camera};
 use crate::estimation::problem::{CameraProblem, LensChoice};
+use crate::estimation::student::student_deviations;
 use crate::estimation::uncertainty::Distance;
 use crate::geometry::lens::Lens;
+use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
 
 /// The board's square where the calibration does not state it: its size has no influence on the
@@ -68,7 +71,14 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let (verified, fixed) = verify(sensor, &problem)?;
     let seen = fixed.views.iter().filter(|view| view.fault.is_none());
     let poses = seen.filter_map(|view| Some((view.name.clone(), view.camera_from_board?)));
-    let depth = verify_depth((&calibration, &target), &args.search, &poses.collect())?;
+    let poses: Vec<(String, Pose)> = poses.collect();
+    let by_name = poses.iter().cloned().collect::<BTreeMap<_, _>>();
+    if calibration.depth().is_some() && by_name.len() < poses.len() {
+        let problem =
+            "frames of several recordings have the same numbers: verify the depth of one at a time";
+        return Err(Failure::failed(problem));
+    }
+    let depth = verify_depth((&calibration, &target), &args.search, &by_name)?;
     let is_unseen = depth.is_none() && calibration.depth().is_some();
     let mut verified = verified.with_depth(depth);
     if is_unseen {
@@ -101,13 +111,15 @@ fn verify(
     let limit_px = (LIMIT_SIGMAS * sensor.uncertainty_px.median).max(LEAST_LIMIT_PX);
     let change = best.as_ref().and_then(|best| {
         let uncertainty = uncertainty_map(best, COLUMNS, Distance::Infinity)?;
-        LensChange::between(&sensor.lens, &uncertainty, &best.lens)
+        let used = best.views.iter().filter(|view| view.fault.is_none()).count();
+        LensChange::between(&sensor.lens, &best.lens, &uncertainty, sigmas(used))
     });
-    let visible_px = change.map(|change| change.visible_px);
+    let used = sensor.views.iter().filter(|view| view.used).count();
+    let calibrated_px = (sigmas(used) * sensor.uncertainty_px.median).max(LEAST_LIMIT_PX);
+    let visible_px = change.map(|change| change.visible_px.hypot(calibrated_px));
     // The boards' poses take up most of a change of focus: residuals alone show little of it.
-    let certain =
-        change.filter(|change| change.seen_px > VISIBLE * change.visible_px.max(limit_px));
-    let moved_px = certain.map_or(0.0, |change| change.seen_px).max(unexplained_px);
+    let certain_px = change.map(|change| change.seen_px).filter(|seen| Some(*seen) > visible_px);
+    let moved_px = certain_px.unwrap_or(0.0).max(unexplained_px);
     let mut reasons = Vec::new();
     if moved_px > limit_px {
         reasons.push(
@@ -124,19 +136,20 @@ fn verify(
     }
     let views = fixed.views.iter().filter(|view| view.fault.is_none()).count();
     let holds = reasons.is_empty();
+    let is_calibration_weaker = change.is_some_and(|change| change.visible_px < calibrated_px);
+    let remedy = if is_calibration_weaker {
+        "calibrate again with more and more tilted views"
+    } else {
+        "show the board in more places, tilted"
+    };
     match visible_px {
-        Some(visible) if visible > VISIBLE * limit_px => reasons.push(format!(
-            "these {views} views would show a change of the lens from {visible:.1} px on: show the board in more places, tilted"
+        Some(visible) if visible > CERTAIN_PX => reasons.push(format!(
+            "these {views} views and the calibration would show a change of the lens from {visible:.1} px on: {remedy}"
         )),
         None => reasons.push(format!(
             "these {views} views determine no lens by themselves, so that most of what may have changed cannot be seen: show the board in at least 3 places, tilted"
         )),
         Some(_) => {}
-    }
-    if limit_px > CERTAIN_PX {
-        reasons.push(format!(
-            "the calibration itself is uncertain by {limit_px:.1} px, so that smaller changes cannot be seen: calibrate again with more and more tilted views"
-        ));
     }
     let verified = Verified {
         holds,
@@ -150,6 +163,12 @@ fn verify(
         reasons,
     };
     Ok((verified, fixed))
+}
+
+/// How many standard deviations of a lens that so many views determined are as rare as
+/// [`LIMIT_SIGMAS`] of a normal distribution: few views know their own scatter little.
+fn sigmas(views: usize) -> f64 {
+    student_deviations(LIMIT_SIGMAS, views.saturating_sub(1) as f64)
 }
 
 /// Corners that were used, or are off by no more than `limit_px`.

@@ -7,11 +7,16 @@ use serde::Serialize;
 use crate::calibration::depth_check::{CheckedRange, DepthCheck, DepthView};
 use crate::calibration::result::Calibration;
 use crate::calibration::sensor::SensorId;
+use crate::calibration::view::View;
 use crate::cli::Failure;
 use crate::cli::calibrate_rgbd::depth_sensor;
+use crate::cli::search::{SearchedImage, searcher};
 use crate::cli::search_args::SearchArgs;
 use crate::cli::sources::FrameSets;
-use crate::geometry::depth_camera::DepthReading;
+use crate::estimation::board_pose::board_poses;
+use crate::estimation::rgbd::motion::{MovingBoard, boards_after};
+use crate::geometry::depth_camera::{DepthCamera, DepthReading};
+use crate::geometry::lens::Lens;
 use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
 use crate::imaging::depth_image::DepthImage;
@@ -80,10 +85,16 @@ impl VerifiedDepth {
         if !check.holds() {
             reasons.push(change(check));
         }
-        if check.views < views {
+        let without_depth = views.saturating_sub(check.views + check.moving);
+        if without_depth > 0 {
             reasons.push(format!(
-                "{} of {views} views have no depth on the board: check the depth images' unit, times and size",
-                views - check.views
+                "{without_depth} of {views} views have no depth on the board: check the depth images' unit, times and size"
+            ));
+        }
+        if check.moving > 0 {
+            reasons.push(format!(
+                "in {} of {views} views the board moved between color and depth, so that they say nothing of depth: hold it still",
+                check.moving
             ));
         }
         let what = match check.views {
@@ -109,7 +120,7 @@ impl VerifiedDepth {
             views: range.views,
         };
         Self {
-            holds: check.holds() && check.views > 0,
+            holds: check.holds() && check.views + check.moving > 0,
             views: check.views,
             off_sigmas: check.off_sigmas,
             visible_m: check.visible_m,
@@ -134,7 +145,8 @@ fn change(check: &DepthCheck) -> String {
 }
 
 /// Compares depth with the boards at the poses `views`, by name; `None` where the calibration or the
-/// sources have no depth.
+/// sources have no depth. Where the calibration says how much later depth is taken, boards of a
+/// recording are also expected where they may have moved to by then.
 ///
 /// # Errors
 /// For depth in other units than the calibration's, or images of another size.
@@ -147,32 +159,88 @@ pub fn verify_depth(
     let pose = calibration.pose(&target, &source);
     let Some((depth, color_from_depth)) = calibration.depth().zip(pose) else { return Ok(None) };
     let mut depth = depth.clone();
+    let boards = Boards {
+        board,
+        views,
+        lens: calibration.image(SensorKind::Color).map(|color| color.lens),
+        delay_s: depth.time_offset.map_or(0.0, |delay| delay.seconds),
+    };
     let mut seen = Vec::new();
     for source in &search.sources {
-        let mut stated = None;
-        for frames in FrameSets::new(std::iter::once(source.clone())).reading(&search.reading) {
-            let frames = frames.map_err(|unreadable| Failure::failed(unreadable.reason))?;
-            let name = frames.set.name.clone().unwrap_or_else(|| frames.set.sequence.to_string());
-            let frame = frames.set.frame(SensorKind::Depth);
-            let Some((frame, color_from_board)) = frame.zip(views.get(&name)) else { continue };
-            if stated.is_none() {
-                stated = Some(depth_sensor(source)?);
-                as_stated(&mut depth.camera.reading, stated.as_ref().and_then(|s| s.reading));
-            }
-            let image = DepthImage::from_frame(frame)
-                .map_err(|error| Failure::failed(format!("{}: depth: {error}", frames.path())))?;
-            let (size, expected) = (image.size(), depth.camera.image_size);
-            if size != expected {
-                return Err(Failure::failed(format!(
-                    "{}: its depth image is {size}, the calibration is of {expected}: give images of that size",
-                    frames.path()
-                )));
-            }
-            seen.push(DepthView { color_from_board: *color_from_board, image });
-        }
+        seen.extend(boards.with_depth(source, search, &mut depth.camera)?);
     }
     let check = DepthCheck::of((&depth, color_from_depth), board, &seen);
     Ok((!seen.is_empty()).then(|| VerifiedDepth::of(&check, views.len())))
+}
+
+/// Where color sees the board.
+struct Boards<'a> {
+    board: &'a Target,
+    /// The poses of views, by name.
+    views: &'a BTreeMap<String, Pose>,
+    /// Color's lens, for frames between views.
+    lens: Option<Lens>,
+    /// How much later depth is taken.
+    delay_s: f64,
+}
+
+impl Boards<'_> {
+    /// The views of a source that have a depth image, in the unit that it states for `camera`.
+    fn with_depth(
+        &self,
+        source: &str,
+        search: &SearchArgs,
+        camera: &mut DepthCamera,
+    ) -> Result<Vec<DepthView>, Failure> {
+        let mut detect = searcher(self.board, search.detect_options(), 1);
+        let (mut moments, mut images, mut stated) = (Vec::new(), Vec::new(), None);
+        for frames in FrameSets::new(std::iter::once(source.to_owned())).reading(&search.reading) {
+            let frames = frames.map_err(|unreadable| Failure::failed(unreadable.reason))?;
+            let path = frames.path();
+            let of_depth = frames.set.frame(SensorKind::Depth).cloned();
+            // A frame set without an image in color was named when the views were gathered.
+            let Ok(searched) = detect(Ok(frames)) else { continue };
+            let view = self.views.get(&searched.frame.display_name()).copied();
+            let time_s = searched.frame.time_ns() as f64 * 1e-9;
+            let Some(color_from_board) = view.or_else(|| self.between_views(searched)) else {
+                continue;
+            };
+            moments.push((time_s, color_from_board));
+            let image = match of_depth.filter(|_| view.is_some()) {
+                Some(frame) => Some(
+                    DepthImage::from_frame(&frame)
+                        .map_err(|error| Failure::failed(format!("{path}: depth: {error}")))?,
+                ),
+                None => None,
+            };
+            if let (Some(_), None) = (&image, &stated) {
+                let sensor = stated.insert(depth_sensor(source)?);
+                as_stated(&mut camera.reading, sensor.reading);
+            }
+            let expected = camera.image_size;
+            if let Some(size) =
+                image.as_ref().map(DepthImage::size).filter(|size| *size != expected)
+            {
+                return Err(Failure::failed(format!(
+                    "{path}: its depth image is {size}, the calibration is of {expected}: give images of that size"
+                )));
+            }
+            images.push(image);
+        }
+        let moving = boards_after(&moments, self.delay_s);
+        let view = |(image, board): (Option<DepthImage>, MovingBoard)| {
+            Some(DepthView { board, image: image? })
+        };
+        Ok(images.into_iter().zip(moving).filter_map(view).collect())
+    }
+
+    /// Where a frame of a recording that is no view shows the board, which says how it moves.
+    fn between_views(&self, image: SearchedImage) -> Option<Pose> {
+        let lens = self.lens.filter(|_| image.recording.is_some())?;
+        let view = View { number: 0, frame: image.frame, detection: image.answer.ok()? };
+        let poses = board_poses(&lens, &view.to_board_view(self.board)).ok()?;
+        poses.first().map(|found| found.camera_from_board)
+    }
 }
 
 /// Depth in the unit that the source states, where it states one.

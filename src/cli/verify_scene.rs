@@ -45,7 +45,7 @@ pub(super) fn verify_scene(
 fn compared(calibrated: &ImageCalibration, scene: &ImageCalibration) -> Option<Verified> {
     let uncertainty = sensor_uncertainty(scene, COLUMNS, Distance::Infinity)?;
     let LensChange { seen_px: moved_px, visible_px: scene_px } =
-        LensChange::between(&calibrated.lens, &uncertainty, &scene.lens)?;
+        LensChange::between(&calibrated.lens, &scene.lens, &uncertainty, LIMIT_SIGMAS)?;
     let calibrated_px = LIMIT_SIGMAS * calibrated.uncertainty_px.median;
     let limit_px = scene_px.hypot(calibrated_px).max(LEAST_LIMIT_PX);
     let mut reasons = Vec::new();
@@ -70,7 +70,7 @@ fn compared(calibrated: &ImageCalibration, scene: &ImageCalibration) -> Option<V
         holds,
         moved_px,
         limit_px,
-        visible_px: Some(scene_px),
+        visible_px: Some(limit_px),
         rms_px: None,
         best_rms_px: Some(scene.rms_px),
         views: scene.views.iter().filter(|view| view.used).count(),
