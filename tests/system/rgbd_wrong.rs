@@ -265,6 +265,23 @@ fn verify_compares_depth_with_the_board_and_says_what_it_saw() {
     assert!(answer["reasons"].to_string().contains("cannot show every move"), "{answer}");
 }
 
+/// In three of its views the board moves in the 12 ms between color and depth.
+#[test]
+fn a_recording_in_which_the_board_moves_holds_against_its_own_calibration() {
+    let folder = tempfile::tempdir().unwrap();
+    let calibration = folder.path().join("calibration.json").display().to_string();
+    let recording = recording("rgbd.mcap").display().to_string();
+    let calibrate = ["calibrate", "--board", "9x6", "--square", "40mm", "--lens", "brown"];
+    let finished = plumb([&calibrate[..], &["--out", &calibration, &recording]].concat());
+    assert_eq!(finished.code, Some(0), "{}", finished.stderr);
+    let verify = ["verify", "--calibration", &calibration, "--board", "9x6", "--json"];
+    let finished = plumb([&verify[..], &[&recording]].concat());
+    let answer: Value = serde_json::from_str(&finished.stdout).unwrap();
+    assert_eq!((&answer["holds"], &answer["depth"]["holds"]), (&json!(true), &json!(true)));
+    assert!(answer["depth"]["off_sigmas"].as_f64().unwrap() < 1.5, "{answer}");
+    assert!(answer["reasons"].to_string().contains("in 3 of 14 views the board moved"), "{answer}");
+}
+
 #[test]
 fn what_is_missing_beside_depth_is_said_with_its_place() {
     let folder = tempfile::tempdir().unwrap();
