@@ -82,6 +82,14 @@ impl EstimatedArgs {
         Ok(())
     }
 
+    /// Whether nothing but the defaults is asked for.
+    pub fn is_default(&self) -> bool {
+        !(self.skew || self.square_pixels || self.warp)
+            && self.given.is_empty()
+            && self.board_shape == BoardShapeArgument::Named(BoardShape::Auto)
+            && self.shutter == ShutterName::Auto
+    }
+
     /// The lenses of a rig's cameras that are known.
     pub fn lenses(&self) -> Vec<GivenLens> {
         let lens = |given: &GivenArgument| match given {

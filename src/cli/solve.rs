@@ -9,7 +9,7 @@ use crate::cli::calibration_output::{OutputArgs, named};
 use crate::cli::estimated::EstimatedArgs;
 use crate::cli::files::read_document;
 use crate::cli::lens_name::LensName;
-use crate::document::problem::ProblemDocument;
+use crate::document::problem::{Method, ProblemDocument};
 use crate::estimation::problem::{CameraProblem, LensChoice};
 
 /// Calibrates a camera from given correspondences of points and pixels.
@@ -43,6 +43,11 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let in_file = |error: &dyn std::fmt::Display| {
         Failure::failed(format!("{}: {error}", args.problem.display()))
     };
+    if document.method == Method::Dlt && !(args.lens.is_none() && args.estimated.is_default()) {
+        return Err(Failure::usage(
+            "the method dlt estimates a pinhole camera with skew from one view: leave out --lens and what else is estimated or given",
+        ));
+    }
     let problem = CameraProblem::try_from(&document).map_err(|error| in_file(&error))?;
     let mut options = document.options();
     options.lens = args.lens.map_or(options.lens, LensChoice::from);

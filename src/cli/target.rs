@@ -83,8 +83,14 @@ pub fn run(args: &Args) -> Result<(), Failure> {
             )));
         }
     };
-    write_file(&args.out, &bytes)?;
     let description = args.out.with_extension("json");
+    if description.exists() && read_target(&description).is_err() {
+        return Err(Failure::failed(format!(
+            "{}: the target would be written here, but another file is there: give --out another name",
+            description.display()
+        )));
+    }
+    write_file(&args.out, &bytes)?;
     if !same_file(&description, &args.target) {
         let json = target_to_json(&target).map_err(Failure::failed)?;
         write_file(&description, json.as_bytes())?;

@@ -112,7 +112,8 @@ impl ShapeArgs {
 /// When it cannot be read, or is no target that can be used.
 pub fn read_target(path: &Path) -> Result<Target, Failure> {
     let name = path.display();
-    let text = std::fs::read_to_string(path)
-        .map_err(|error| Failure::failed(format!("{name}: {error}")))?;
+    let text = std::fs::read_to_string(path).map_err(|error| {
+        Failure::failed(format!("{name}: cannot be read ({error}); check the path"))
+    })?;
     target_from_text(&text).map_err(|error| Failure::usage(format!("{name}: {error}")))
 }

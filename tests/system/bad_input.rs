@@ -38,6 +38,11 @@ impl BadFiles {
         files.write("fields.json", br#"{"image_size":[640,480],"views":[{"object":[[0,0,0]]}]}"#);
         files.write("size.json", br#"{"image_size":[0,480],"views":[]}"#);
         files.write("syntax.json", br#"{"image_size":[640,480],"#);
+        files.write(
+            "dlt.json",
+            point("[1,2]").replace("\"views\"", "\"method\":\"dlt\",\"views\"").as_bytes(),
+        );
+        files.write("board.toml", b"kind = \"chessboard\"\ncols = 9\nrows = 6\nsquare_m = 0.02\n");
         files.write("nothing.toml", b"");
         files.write(
             "back.toml",
@@ -141,6 +146,12 @@ const TABLE: &[(&str, i32, &[&str])] = &[
     ("solve @fields.json", 1, &["fields.json", "views[0].image", "missing"]),
     ("solve @size.json", 1, &["size.json", "image_size"]),
     ("solve @syntax.json", 1, &["syntax.json", "not JSON at line 1"]),
+    ("solve --skew @dlt.json", 2, &["the method dlt", "leave out --lens"]),
+    (
+        "target --target @board.toml --out @syntax.pdf",
+        1,
+        &["syntax.json", "another file is there", "another name"],
+    ),
     ("verify --calibration @few.json --board 9x6 @gray.jpg", 1, &["few.json", "missing"]),
     ("verify --calibration @gone.json --board 9x6 @gray.jpg", 1, &["gone.json", "cannot be read"]),
     ("record --camera front --out @new.mcap --config @gone.toml", 2, &["gone.toml"]),
