@@ -21,6 +21,9 @@ const SIGMA_PER_MAD: f64 = 1.4826;
 const MEDIAN_OVER_MEAN: f64 = 1.2533;
 /// Of so many views the worst is left out.
 const LEAST_TO_LEAVE_ONE_OUT: usize = 4;
+/// How much faster than in the mean between two frames a board may be: twice, if it starts and stops
+/// there with constant acceleration.
+const PEAK_OVER_MEAN: f64 = 2.0;
 /// A change along a direction that the views show this much less than along others is not shown.
 const NOT_SHOWN: f64 = 1e-9;
 
@@ -157,11 +160,13 @@ impl CalibratedErrors<'_> {
         };
         let [still, later] = [camera_from_board, camera_from_later].map(|pose| patches(&pose));
         let [off_still, off_later] = [&still, &later].map(|patches| view_sigmas(patches, &[]));
+        let fastest = steps.map(|step| step * PEAK_OVER_MEAN);
+        let motions = fastest.map(|step| self.as_camera_motion(&step, &camera_from_board));
+        let unexplained = view_sigmas(&still, &motions);
         let best = if off_later < off_still { (later, off_later) } else { (still, off_still) };
         let (patches, off) = (best.0, best.1?);
-        let motions = steps.map(|step| self.as_camera_motion(&step, &camera_from_board));
-        let is_moving = off > LIMIT_SIGMAS
-            && view_sigmas(&patches, &motions).is_some_and(|off| off <= LIMIT_SIGMAS);
+        let is_moving =
+            off > LIMIT_SIGMAS && unexplained.is_some_and(|sigmas| sigmas <= LIMIT_SIGMAS);
         Some((patches, is_moving))
     }
 
