@@ -1,6 +1,6 @@
 //! Cameras of a rig that share views, solved together.
 
-use crate::calibration::result::{Extrinsics, Grade, ImageCalibration, pose_std};
+use crate::calibration::result::{Extrinsics, Finding, Grade, ImageCalibration, pose_std};
 use crate::calibration::rig_input::RigInput;
 use crate::calibration::rig_member::Alone;
 use crate::calibration::sensor::SensorId;
@@ -104,7 +104,7 @@ impl Joint {
         self.rms_ratio.iter().map(|ratio| ratio * ratio).sum()
     }
 
-    pub(super) fn findings(&self, group: &[&Alone<'_>]) -> Vec<(Grade, String)> {
+    pub(super) fn findings(&self, group: &[&Alone<'_>]) -> Vec<Finding> {
         let name = |member: usize| group[member].input.name.as_str();
         let each = self.rms_ratio.iter().enumerate();
         let misfitting = each.filter(|(_, rms_ratio)| **rms_ratio > MISFITTING);
@@ -112,10 +112,10 @@ impl Joint {
             let cause =
                 "the board moved between the cameras' images, or the cameras against each other: hold it still";
             let camera = name(member);
-            (
-                Grade::Usable,
-                format!("camera `{camera}` fits {rms_ratio:.1} times worse with the others than by itself; {cause}"),
-            )
+            let reason = format!(
+                "camera `{camera}` fits {rms_ratio:.1} times worse with the others than by itself; {cause}"
+            );
+            Finding { grade: Grade::Usable, reason }
         });
         let open = self.extrinsics.iter().enumerate().filter_map(|(place, known)| {
             let (rotation_deg, translation_m) =
@@ -131,7 +131,7 @@ impl Joint {
                     name(place + 1),
                     1e3 * translation_m
                 );
-                (Grade::Usable, reason)
+                Finding { grade: Grade::Usable, reason }
             })
         });
         misfitting.chain(open).collect()

@@ -3,7 +3,7 @@
 
 use crate::calibration::list_shift::list_shift;
 use crate::calibration::result::{
-    CalibratedSensor, Calibration, Checks, Extrinsics, Grade, ImageCalibration, Verdict,
+    CalibratedSensor, Calibration, Checks, Extrinsics, Finding, Grade, ImageCalibration, Verdict,
 };
 use crate::calibration::rig_input::{RigInput, RigSensorInput};
 use crate::calibration::rig_joint::Joint;
@@ -110,14 +110,15 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
     let mut findings = Vec::new();
     for (sensor, source) in &failed {
         let reason = format!("camera `{}` is left out: {source}", sensor.name);
-        findings.push((Grade::Usable, reason));
+        findings.push(Finding { grade: Grade::Usable, reason });
     }
     let mut sensors: Vec<ImageCalibration> =
         alone.iter().map(|one| one.solved.sensor.clone()).collect();
     let mut extrinsics = Vec::new();
     for group in &groups {
         if !across(group) {
-            findings.push((Grade::Usable, open_place(&alone[group[0]])));
+            let reason = open_place(&alone[group[0]]);
+            findings.push(Finding { grade: Grade::Usable, reason });
         }
         if group.len() < 2 {
             continue;
@@ -216,17 +217,17 @@ fn checks(alone: &[Alone<'_>]) -> Checks {
 fn verdict(
     alone: &[Alone<'_>],
     sensors: &[ImageCalibration],
-    mut findings: Vec<(Grade, String)>,
+    mut findings: Vec<Finding>,
 ) -> Verdict {
-    let mut grade = findings.iter().map(|(grade, _)| *grade).min().unwrap_or(Grade::Good);
     for (one, sensor) in alone.iter().zip(sensors) {
         let of_camera = one.solved.verdict_of(sensor);
-        let named = |reason| (of_camera.grade, format!("{}: {reason}", one.input.name));
-        grade = grade.min(of_camera.grade);
+        let named = |reason| Finding {
+            grade: of_camera.grade,
+            reason: format!("{}: {reason}", one.input.name),
+        };
         findings.extend(of_camera.reasons.into_iter().map(named));
     }
-    findings.sort_by_key(|(grade, _)| *grade);
-    Verdict { grade, reasons: findings.into_iter().map(|(_, reason)| reason).collect() }
+    Verdict::of(findings)
 }
 
 #[cfg(test)]

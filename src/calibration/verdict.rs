@@ -1,7 +1,7 @@
 //! How far to trust a calibration, in words that a person can act on.
 
 use crate::calibration::coverage::Coverage;
-use crate::calibration::result::{Grade, Verdict};
+use crate::calibration::result::{Finding, Grade, Verdict};
 use crate::calibration::rounded::value_with_std;
 use crate::estimation::camera::CameraEstimate;
 use crate::estimation::known_together::known_only_together;
@@ -41,7 +41,7 @@ pub(crate) fn judge(
     check: &ModelCheck,
     coverage: &Coverage,
 ) -> Verdict {
-    let mut findings: Vec<(Grade, String)> = Vec::new();
+    let mut findings: Vec<Finding> = Vec::new();
     // Causes before what follows from them: of findings of one grade the first is to be mended
     // first.
     findings.extend(misfit(estimate, check));
@@ -56,9 +56,7 @@ pub(crate) fn judge(
     findings.extend(flat_board(estimate));
     findings.extend(accounted_for(estimate));
     findings.extend(known_together(estimate));
-    let grade = findings.iter().map(|(grade, _)| *grade).min().unwrap_or(Grade::Good);
-    findings.sort_by_key(|(grade, _)| *grade);
-    Verdict { grade, reasons: findings.into_iter().map(|(_, reason)| reason).collect() }
+    Verdict::of(findings)
 }
 
 /// A board whose length along x and y differs by more than this part is no print as printers make
@@ -77,31 +75,13 @@ pub(crate) fn square_pixels(estimate: &CameraEstimate) -> Option<String> {
     })
 }
 
-/// The grade of a figure that should be low: `Good` up to the first limit, `Usable` up to the
-/// second.
-fn graded(value: f64, [good, usable]: [f64; 2]) -> Grade {
-    if value <= good {
-        Grade::Good
-    } else if value <= usable {
-        Grade::Usable
-    } else {
-        Grade::Poor
-    }
-}
-
-fn worse_than_good(grade: Grade, reason: String) -> Option<(Grade, String)> {
-    (grade != Grade::Good).then_some((grade, reason))
-}
-
 /// How much of the image is known well enough, where a model that does not fit makes it `factor`
 /// times as uncertain.
-fn uncertainty(map: Option<&UncertaintyMap>, factor: f64) -> Option<(Grade, String)> {
+fn uncertainty(map: Option<&UncertaintyMap>, factor: f64) -> Option<Finding> {
     let worst_px = map.and_then(UncertaintyMap::median_and_worst).map(|(_, worst_px)| worst_px);
     let (Some(map), Some(worst_px)) = (map, worst_px) else {
-        return Some((
-            Grade::Poor,
-            "no uncertainty is known for projections anywhere in the image".to_owned(),
-        ));
+        let reason = "no uncertainty is known for projections anywhere in the image".to_owned();
+        return Some(Finding { grade: Grade::Poor, reason });
     };
     let limits_px = KNOWN_TO.map(|part| part * map.grid.size.diagonal_px());
     let seen: Vec<f64> = map.std_px.iter().flatten().copied().collect();
@@ -129,21 +109,21 @@ fn uncertainty(map: Option<&UncertaintyMap>, factor: f64) -> Option<(Grade, Stri
     let reason = format!(
         "projections are uncertain by more than {good_px:.2} px (1 sigma) in {percent:.0} % of the image, most in the {place}, by up to {worst_px:.2} px: {remedy}"
     );
-    worse_than_good(grade, reason)
+    Finding::worse_than_good(grade, reason)
 }
 
 /// That the model does not fit: first the cause, where it can be determined, then its signs.
-fn misfit(estimate: &CameraEstimate, check: &ModelCheck) -> Vec<(Grade, String)> {
-    let signs: Vec<(Grade, String)> =
+fn misfit(estimate: &CameraEstimate, check: &ModelCheck) -> Vec<Finding> {
+    let signs: Vec<Finding> =
         [halves(estimate, check), variance_inflation(estimate), smooth_residuals(check)]
             .into_iter()
             .flatten()
             .collect();
-    let Some(worst) = signs.iter().map(|(grade, _)| *grade).min() else { return Vec::new() };
-    let signs: Vec<String> = signs.into_iter().map(|(_, sign)| sign).collect();
+    let Some(grade) = signs.iter().map(|sign| sign.grade).min() else { return Vec::new() };
+    let signs: Vec<String> = signs.into_iter().map(|sign| sign.reason).collect();
     vec![
-        (worst, cause(estimate, check)),
-        (worst, format!("the model does not fit: {}", signs.join("; "))),
+        Finding { grade, reason: cause(estimate, check) },
+        Finding { grade, reason: format!("the model does not fit: {}", signs.join("; ")) },
     ]
 }
 
@@ -172,40 +152,41 @@ fn cause(estimate: &CameraEstimate, check: &ModelCheck) -> String {
     format!("the cause is unknown: {others}")
 }
 
-fn halves(estimate: &CameraEstimate, check: &ModelCheck) -> Option<(Grade, String)> {
+fn halves(estimate: &CameraEstimate, check: &ModelCheck) -> Option<Finding> {
     let enough =
         estimate.views.iter().filter(|view| view.fault.is_none()).count() >= ModelCheck::MIN_VIEWS;
     // Of a lens that is given whole, halves have nothing to differ in.
     let is_estimated = estimate.lens_covariance.iter().any(|value| *value != 0.0);
     let Some(ratio) = check.split_half_ratio else {
-        return (enough && is_estimated).then(|| {
-            (Grade::Poor, "two halves of the views differ too much to be compared".to_owned())
+        return (enough && is_estimated).then(|| Finding {
+            grade: Grade::Poor,
+            reason: "two halves of the views differ too much to be compared".to_owned(),
         });
     };
     let change = check.focal_change.unwrap_or(0.0) * 100.0;
     let sign = format!(
         "two halves of the views differ {ratio:.1} times as much as their uncertainties predict (fx by {change:.2} %)"
     );
-    worse_than_good(graded(ratio, SPLIT_HALF), sign)
+    Finding::worse_than_good(Grade::of_figure(ratio, SPLIT_HALF), sign)
 }
 
-fn variance_inflation(estimate: &CameraEstimate) -> Option<(Grade, String)> {
+fn variance_inflation(estimate: &CameraEstimate) -> Option<Finding> {
     let factor = estimate.variance_inflation.sqrt();
     let sign = format!(
         "views are off as a whole, which makes the result {factor:.1} times as uncertain as the scatter of their corners alone would"
     );
-    worse_than_good(graded(factor, SHARED), sign)
+    Finding::worse_than_good(Grade::of_figure(factor, SHARED), sign)
 }
 
-fn smooth_residuals(check: &ModelCheck) -> Option<(Grade, String)> {
+fn smooth_residuals(check: &ModelCheck) -> Option<Finding> {
     let correlation = check.residual_correlation?;
     let sign = format!(
         "neighboring corners are off the same way (correlation {correlation:.2}, where noise alone has none)"
     );
-    worse_than_good(graded(correlation, CORRELATION), sign)
+    Finding::worse_than_good(Grade::of_figure(correlation, CORRELATION), sign)
 }
 
-fn too_simple_lens(estimate: &CameraEstimate, check: &ModelCheck) -> Option<(Grade, String)> {
+fn too_simple_lens(estimate: &CameraEstimate, check: &ModelCheck) -> Option<Finding> {
     let LensMisfit { model, held_out_rms_px: [own_px, larger_px], fx, widening } =
         check.lens_misfit?;
     let own = estimate.lens.model();
@@ -225,32 +206,32 @@ fn too_simple_lens(estimate: &CameraEstimate, check: &ModelCheck) -> Option<(Gra
     if widening > NOTABLE_WIDENING {
         reason += &format!("; uncertainties are {widening:.1} times as large for it");
     }
-    Some((Grade::Usable, reason))
+    Some(Finding { grade: Grade::Usable, reason })
 }
 
 fn canceling_coefficients(
     estimate: &CameraEstimate,
     map: Option<&UncertaintyMap>,
-) -> Option<(Grade, String)> {
+) -> Option<Finding> {
     has_pole(&estimate.lens, map?.grid.size).then(|| {
         let model = estimate.lens.model();
         let reason = format!(
             "the coefficients of the {model} lens cancel but for a kink inside the image, which no lens has: these views do not determine so many; use brown, or let the model be chosen (auto)"
         );
-        (Grade::Poor, reason)
+        Finding { grade: Grade::Poor, reason }
     })
 }
 
-fn bent_board(check: &ModelCheck) -> Option<(Grade, String)> {
+fn bent_board(check: &ModelCheck) -> Option<Finding> {
     let [x, y] = check.bow_m.filter(|_| check.misfit.unevenness_m.is_none())?.map(|m| m * 1000.0);
     let reason = format!(
         "residuals follow the board, which seems bent by {x:.1} mm along its rows and {y:.1} mm along its columns: mount it on something flat and stiff, or have its warp estimated"
     );
-    Some((Grade::Usable, reason))
+    Some(Finding { grade: Grade::Usable, reason })
 }
 
 /// What is not as stated but was measured along, which takes nothing from the grade.
-fn accounted_for(estimate: &CameraEstimate) -> Vec<(Grade, String)> {
+fn accounted_for(estimate: &CameraEstimate) -> Vec<Finding> {
     let board = estimate.board_shape.as_ref().map(|shape| {
         let [rms, std] = [shape.unevenness_m, shape.unevenness_std_m].map(|m| m * 1000.0);
         let rms = value_with_std(rms, std);
@@ -269,12 +250,13 @@ fn accounted_for(estimate: &CameraEstimate) -> Vec<(Grade, String)> {
             "rolling shutter: the board moved by {millimeters:.2} mm and {degrees:.2} degrees while an image was read, measured and taken into account; hold both still for a better result"
         )
     });
-    board.into_iter().chain(shutter).map(|reason| (Grade::Good, reason)).collect()
+    let known = |reason| Finding { grade: Grade::Good, reason };
+    board.into_iter().chain(shutter).map(known).collect()
 }
 
 /// That some coefficients are no figures of the lens by themselves, which takes nothing from the
 /// projections.
-fn known_together(estimate: &CameraEstimate) -> Option<(Grade, String)> {
+fn known_together(estimate: &CameraEstimate) -> Option<Finding> {
     let lens = &estimate.lens;
     let names = known_only_together(lens, &estimate.lens_std(), estimate.image_size);
     let reason = format!(
@@ -282,20 +264,21 @@ fn known_together(estimate: &CameraEstimate) -> Option<(Grade, String)> {
         names.join(", "),
         lens.model()
     );
-    (!names.is_empty()).then_some((Grade::Good, reason))
+    (!names.is_empty()).then_some(Finding { grade: Grade::Good, reason })
 }
 
-fn rejected_views(estimate: &CameraEstimate) -> Option<(Grade, String)> {
+fn rejected_views(estimate: &CameraEstimate) -> Option<Finding> {
     let rejected: Vec<_> =
         estimate.views.iter().filter_map(|view| Some((&view.name, view.fault?))).collect();
     let (name, fault) = rejected.first()?;
     let (count, all) = (rejected.len(), estimate.views.len());
     let grade = if 2 * count > all { Grade::Poor } else { Grade::Usable };
     let which = if count == 1 { "view was" } else { "views were" };
-    Some((grade, format!("{count} of {all} {which} not used; view `{name}`: {fault}")))
+    let reason = format!("{count} of {all} {which} not used; view `{name}`: {fault}");
+    Some(Finding { grade, reason })
 }
 
-fn rejected_corners(estimate: &CameraEstimate) -> Option<(Grade, String)> {
+fn rejected_corners(estimate: &CameraEstimate) -> Option<Finding> {
     let used_views = || estimate.views.iter().filter(|view| view.fault.is_none());
     let all = used_views().map(|view| view.used.len()).sum::<usize>();
     let rejected = used_views().flat_map(|view| &view.used).filter(|used| !**used).count();
@@ -305,15 +288,15 @@ fn rejected_corners(estimate: &CameraEstimate) -> Option<(Grade, String)> {
         "{rejected} of {all} corners are far off and were not used, most in view `{}`: check focus, reflections and what hides parts of the board",
         worst.name
     );
-    worse_than_good(graded(part, OUTLIERS), reason)
+    Finding::worse_than_good(Grade::of_figure(part, OUTLIERS), reason)
 }
 
-fn missing_area(coverage: &Coverage) -> Option<(Grade, String)> {
+fn missing_area(coverage: &Coverage) -> Option<Finding> {
     let fraction = coverage.fraction();
-    let grade = graded(1.0 - fraction, COVERAGE.map(|part| 1.0 - part));
+    let grade = Grade::of_figure(1.0 - fraction, COVERAGE.map(|part| 1.0 - part));
     let emptiest = emptiest_region(coverage);
     let seen = fraction * 100.0;
-    worse_than_good(
+    Finding::worse_than_good(
         grade,
         format!(
             "corners were seen in {seen:.0} % of the image, fewest in the {emptiest}: hold the board there"
@@ -350,7 +333,7 @@ fn region_with_most([cols, rows]: [usize; 2], count: impl Fn(usize, usize) -> f6
 /// That the board's tilt hardly differs between views, or does so in one direction only: each
 /// direction of tilt determines the focal length by itself, and what a lens's model leaves over
 /// resembles another tilt where one is missing.
-fn flat_board(estimate: &CameraEstimate) -> Option<(Grade, String)> {
+fn flat_board(estimate: &CameraEstimate) -> Option<Finding> {
     let used = estimate.views.iter().filter(|view| view.fault.is_none());
     let normals: Vec<_> =
         used.filter_map(|view| Some(view.camera_from_board? * nalgebra::Vector3::z())).collect();
@@ -364,28 +347,35 @@ fn flat_board(estimate: &CameraEstimate) -> Option<(Grade, String)> {
         let reason = format!(
             "the board's tilt differs by at most {widest:.0} degrees between views, which leaves the focal length weak: tilt it by 20 to 45 degrees in different directions"
         );
-        return Some((Grade::Usable, reason));
+        return Some(Finding { grade: Grade::Usable, reason });
     }
     let [wide, narrow] = tilt_ranges(&normals, &mean)?;
-    let (range_deg, across) = narrow;
-    let named = if across.x.abs() > across.y.abs() {
+    let named = if narrow.axis.x.abs() > narrow.axis.y.abs() {
         "its right and its left side"
     } else {
         "its top and its bottom"
     };
     let reason = format!(
-        "the board's tilt differs by {:.0} degrees in one direction and by {range_deg:.0} in the other, which leaves the focal length weak: tilt {named} towards the camera too, by 20 to 45 degrees",
-        wide.0
+        "the board's tilt differs by {:.0} degrees in one direction and by {:.0} in the other, which leaves the focal length weak: tilt {named} towards the camera too, by 20 to 45 degrees",
+        wide.range_deg, narrow.range_deg
     );
-    (range_deg < ONE_WAY_DEG).then_some((Grade::Usable, reason))
+    (narrow.range_deg < ONE_WAY_DEG).then_some(Finding { grade: Grade::Usable, reason })
 }
 
-/// The ranges of directions about their mean in degrees, along the axis of the greatest scatter and
-/// across it, each with its axis.
+/// How far directions differ along one axis.
+#[derive(Debug, Clone, Copy)]
+struct TiltRange {
+    /// From the least to the greatest, in degrees.
+    range_deg: f64,
+    /// The axis that tilts differ along, a unit vector in the camera frame.
+    axis: nalgebra::Vector3<f64>,
+}
+
+/// The ranges of directions about their mean, along the axis of the greatest scatter and across it.
 fn tilt_ranges(
     directions: &[nalgebra::Vector3<f64>],
     mean: &nalgebra::Vector3<f64>,
-) -> Option<[(f64, nalgebra::Vector3<f64>); 2]> {
+) -> Option<[TiltRange; 2]> {
     let mean = mean.try_normalize(1e-12)?;
     let off = || directions.iter().map(|direction| direction - mean * direction.dot(&mean));
     let scatter: nalgebra::Matrix3<f64> = off().map(|off| off * off.transpose()).sum();
@@ -395,7 +385,7 @@ fn tilt_ranges(
         let at = || off().map(|off| off.dot(&axis).clamp(-1.0, 1.0).asin());
         let [least, most] =
             [at().fold(f64::INFINITY, f64::min), at().fold(f64::NEG_INFINITY, f64::max)];
-        ((most - least).to_degrees(), axis)
+        TiltRange { range_deg: (most - least).to_degrees(), axis }
     };
     Some([range(greatest), range(mean.cross(&greatest))])
 }
@@ -418,7 +408,7 @@ mod tests {
             .map(|k| normal(f64::from(k % 2) * 2.0 - 1.0, 5.0 * f64::from(k) - 20.0))
             .collect();
         let [wide, narrow] = tilt_ranges(&normals, &normals.iter().sum()).unwrap();
-        assert!((wide.0 - 40.0).abs() < 1.0 && wide.1.x.abs() > 0.99, "{wide:?}");
-        assert!((narrow.0 - 2.0).abs() < 0.2 && narrow.1.y.abs() > 0.99, "{narrow:?}");
+        assert!((wide.range_deg - 40.0).abs() < 1.0 && wide.axis.x.abs() > 0.99, "{wide:?}");
+        assert!((narrow.range_deg - 2.0).abs() < 0.2 && narrow.axis.y.abs() > 0.99, "{narrow:?}");
     }
 }

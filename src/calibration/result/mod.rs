@@ -5,6 +5,7 @@ pub mod verdict;
 
 use nalgebra::{Matrix6, Vector3};
 
+pub(in crate::calibration) use crate::calibration::result::verdict::Finding;
 pub use crate::calibration::result::verdict::{Checks, Grade, Verdict};
 
 use crate::calibration::depth_calibration::DepthCalibration;

@@ -35,6 +35,34 @@ impl Grade {
             Self::Good => "good",
         }
     }
+
+    /// The grade of a figure that should be low: `Good` up to the first limit, `Usable` up to the
+    /// second.
+    pub(in crate::calibration) fn of_figure(value: f64, [good, usable]: [f64; 2]) -> Self {
+        if value <= good {
+            Self::Good
+        } else if value <= usable {
+            Self::Usable
+        } else {
+            Self::Poor
+        }
+    }
+}
+
+/// One reason of a verdict, and the grade that it leaves possible at best.
+#[derive(Debug, Clone, PartialEq)]
+pub(in crate::calibration) struct Finding {
+    /// The best grade beside it; `Good` for what is only to be known.
+    pub(in crate::calibration) grade: Grade,
+    /// One sentence that a person can act on.
+    pub(in crate::calibration) reason: String,
+}
+
+impl Finding {
+    /// `None` for a figure that is good.
+    pub(in crate::calibration) fn worse_than_good(grade: Grade, reason: String) -> Option<Self> {
+        (grade != Grade::Good).then_some(Self { grade, reason })
+    }
 }
 
 /// A grade with its reasons, each one that a person can act on.
@@ -47,6 +75,16 @@ pub struct Verdict {
 }
 
 impl Verdict {
+    /// The worst grade of `findings`, with their reasons in order: the worst first, those of one
+    /// grade as they are given.
+    pub(in crate::calibration) fn of(mut findings: Vec<Finding>) -> Self {
+        findings.sort_by_key(|finding| finding.grade);
+        Self {
+            grade: findings.first().map_or(Grade::Good, |worst| worst.grade),
+            reasons: findings.into_iter().map(|finding| finding.reason).collect(),
+        }
+    }
+
     /// Adds a reason for which the grade is no better than `grade`.
     pub fn lower(&mut self, grade: Grade, reason: String) {
         self.grade = self.grade.min(grade);

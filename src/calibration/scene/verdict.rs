@@ -1,6 +1,6 @@
 //! How far to trust a lens that came from a scene, in words that a person can act on.
 
-use crate::calibration::result::{Grade, Verdict};
+use crate::calibration::result::{Finding, Grade, Verdict};
 use crate::calibration::scene::conditions::SceneConditions;
 use crate::calibration::scene::fitted_lens::LensFit;
 use crate::estimation::scene::bundle::CameraMotion;
@@ -51,7 +51,7 @@ pub(super) fn relative_focal_std(fit: &LensFit) -> f64 {
 /// Grades and says why.
 pub(super) fn judge(evidence: &Evidence<'_>) -> Verdict {
     let findings = [
-        evidence.different_focals.clone().map(|reason| (Grade::Poor, reason)),
+        evidence.different_focals.clone().map(|reason| Finding { grade: Grade::Poor, reason }),
         cropped(evidence),
         unused_images(evidence),
         focal(evidence),
@@ -61,32 +61,14 @@ pub(super) fn judge(evidence: &Evidence<'_>) -> Verdict {
         motion(evidence),
         held(evidence),
     ];
-    let mut findings: Vec<(Grade, String)> = findings.into_iter().flatten().collect();
-    findings.sort_by_key(|(grade, _)| *grade);
-    let grade = findings.first().map_or(Grade::Good, |(grade, _)| *grade);
-    Verdict { grade, reasons: findings.into_iter().map(|(_, reason)| reason).collect() }
+    Verdict::of(findings.into_iter().flatten().collect())
 }
 
-/// The grade of a figure that should be low.
-fn graded(value: f64, [good, usable]: [f64; 2]) -> Grade {
-    if value <= good {
-        Grade::Good
-    } else if value <= usable {
-        Grade::Usable
-    } else {
-        Grade::Poor
-    }
-}
-
-fn worse_than_good(grade: Grade, reason: String) -> Option<(Grade, String)> {
-    (grade != Grade::Good).then_some((grade, reason))
-}
-
-fn unused_images(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
+fn unused_images(evidence: &Evidence<'_>) -> Option<Finding> {
     let unused = evidence.views - evidence.used;
     let part = unused as f64 / evidence.views as f64;
-    worse_than_good(
-        graded(part, [0.1, 0.4]),
+    Finding::worse_than_good(
+        Grade::of_figure(part, [0.1, 0.4]),
         format!(
             "{unused} of {} images have too little in common with the others: take smaller steps",
             evidence.views
@@ -94,21 +76,21 @@ fn unused_images(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
     )
 }
 
-fn focal(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
+fn focal(evidence: &Evidence<'_>) -> Option<Finding> {
     let std = relative_focal_std(evidence.fit);
     let percent = 100.0 * std;
-    worse_than_good(
-        graded(std, FOCAL_STD),
+    Finding::worse_than_good(
+        Grade::of_figure(std, FOCAL_STD),
         format!(
             "the focal length is known to {percent:.2} % (1 sigma): add images from more places around the scene, some rotated by 90 degrees"
         ),
     )
 }
 
-fn projections(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
+fn projections(evidence: &Evidence<'_>) -> Option<Finding> {
     let Some(map) = evidence.map else {
         let reason = "it is not known where in the image projections can be trusted".to_owned();
-        return Some((Grade::Poor, reason));
+        return Some(Finding { grade: Grade::Poor, reason });
     };
     let seen: Vec<f64> = map.std_px.iter().flatten().copied().collect();
     let limits = KNOWN_TO.map(|part| part * map.grid.size.diagonal_px());
@@ -124,7 +106,7 @@ fn projections(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
     };
     let worst = seen.iter().copied().fold(0.0, f64::max);
     let percent = 100.0 * (1.0 - part(limits[0]));
-    worse_than_good(
+    Finding::worse_than_good(
         grade,
         format!(
             "projections are uncertain by more than {:.2} px (1 sigma) in {percent:.0} % of the image, by up to {worst:.2} px: add images that show texture there",
@@ -133,29 +115,29 @@ fn projections(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
     )
 }
 
-fn shared_error(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
+fn shared_error(evidence: &Evidence<'_>) -> Option<Finding> {
     let factor = evidence.fit.covariance.shared.sqrt();
-    worse_than_good(
-        graded(factor, SHARED),
+    Finding::worse_than_good(
+        Grade::of_figure(factor, SHARED),
         format!(
             "observations are off together, which makes the result {factor:.1} times as uncertain as their scatter alone would: try another lens model, and check that the scene is static"
         ),
     )
 }
 
-fn outliers(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
+fn outliers(evidence: &Evidence<'_>) -> Option<Finding> {
     let kept: usize = evidence.fit.fit.bundle.observations.iter().map(Vec::len).sum();
     let part = evidence.fit.fit.dropped as f64 / (kept + evidence.fit.fit.dropped).max(1) as f64;
     let percent = 100.0 * part;
-    worse_than_good(
-        graded(part, OUTLIERS),
+    Finding::worse_than_good(
+        Grade::of_figure(part, OUTLIERS),
         format!(
             "{percent:.0} % of the observations disagree: check for moving things, reflections and blur"
         ),
     )
 }
 
-fn motion(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
+fn motion(evidence: &Evidence<'_>) -> Option<Finding> {
     let SceneConditions { motion, parallax_deg, relief, rolled_deg, .. } = *evidence.conditions;
     let reason = if motion == CameraMotion::RotationOnly {
         "the camera only rotated: the lens follows from the rotations alone; move it too".to_owned()
@@ -168,7 +150,7 @@ fn motion(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
     } else {
         return None;
     };
-    Some((Grade::Usable, reason))
+    Some(Finding { grade: Grade::Usable, reason })
 }
 
 /// What to say of a stated focal length that the estimate (fx, its standard deviation) excludes.
@@ -183,7 +165,7 @@ pub(super) fn unfit_focal(nominal: NominalFocal, (fx, std): (f64, f64)) -> Optio
     })
 }
 
-fn cropped(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
+fn cropped(evidence: &Evidence<'_>) -> Option<Finding> {
     let LensFit { fit, cropped, .. } = evidence.fit;
     let (size, matrix) = (fit.bundle.prior.image_size, fit.state.lens.matrix);
     let middle = size.center();
@@ -195,17 +177,17 @@ fn cropped(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
     let reason = format!(
         "the images seem to be parts of larger ones: the principal point is {x:+.0} % of the width and {y:+.0} % of the height from the middle; give whole images if there are"
     );
-    (*cropped > 0.5).then_some((Grade::Good, reason))
+    (*cropped > 0.5).then_some(Finding { grade: Grade::Good, reason })
 }
 
-fn held(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
+fn held(evidence: &Evidence<'_>) -> Option<Finding> {
     let names = evidence.held_by_prior.join(", ");
     let is_center = ["cx", "cy"].iter().any(|name| evidence.held_by_prior.contains(name));
     let whole = if is_center { " and that images are whole" } else { "" };
     let reason = format!(
         "the images say no more of {names} than what lenses are like beforehand{whole}: rotate the camera by 90 degrees about its axis for some images"
     );
-    (!evidence.held_by_prior.is_empty()).then_some((Grade::Usable, reason))
+    (!evidence.held_by_prior.is_empty()).then_some(Finding { grade: Grade::Usable, reason })
 }
 
 #[cfg(test)]
