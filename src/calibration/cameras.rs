@@ -7,7 +7,7 @@ use crate::calibration::composed_pose::through;
 use crate::calibration::depth_calibration::DepthCalibration;
 use crate::calibration::observations::CameraFrameSets;
 use crate::calibration::result::{
-    CalibratedSensor, Calibration, Extrinsics, Grade, ImageCalibration, Verdict,
+    CalibratedSensor, CalibratedView, Calibration, Extrinsics, Grade, ImageCalibration, Verdict,
 };
 use crate::calibration::rgbd_calibration::{color_from_depth, judged_with_depth};
 use crate::calibration::rgbd_input::RgbdInput;
@@ -18,7 +18,9 @@ use crate::calibration::solve_options::{
 };
 use crate::calibration::solve_rgbd::{SolvedRgbd, solve_rgbd};
 use crate::calibration::solve_rig::solve_rig;
+use crate::estimation::consistent_labels::FrameSetPose;
 use crate::estimation::rgbd::{PlacedDevice, RgbdEstimate, recalibrate_depth};
+use crate::estimation::rig::FrameSetView;
 use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
 use crate::imaging::frame::SensorKind;
@@ -101,9 +103,10 @@ impl<'a> Member<'a> {
             if let (SensorKind::Infrared, Some((_, solved))) = (kind, &self.device)
                 && solved.infrared.is_some()
             {
-                let number = |capture: usize| self.camera.frame_sets[capture].number;
-                let views = solved.infrared_with_color().into_iter();
-                sensor.views = views.map(|(capture, view)| (number(capture), view)).collect();
+                sensor.views = solved.infrared_with_color();
+                for seen in &mut sensor.views {
+                    seen.frame_set = self.camera.frame_sets[seen.frame_set].number;
+                }
             }
             sensor
         };
@@ -170,8 +173,9 @@ impl<'a> Member<'a> {
             .map(|(kind, sensor)| boards(input, &self.id(kind), sensor));
         let board = |capture: &usize| {
             let number = self.camera.frame_sets[*capture].number;
-            let of = |boards: &[(usize, Pose)]| {
-                boards.iter().find(|(own, _)| *own == number).map(|(_, pose)| *pose)
+            let of = |boards: &[FrameSetPose]| {
+                let own = boards.iter().find(|own| own.frame_set == number)?;
+                Some(own.sensor_from_board)
             };
             of(&boards[0]).or_else(|| Some(color_from_depth * of(&boards[1])?))
         };
@@ -195,11 +199,14 @@ impl<'a> Member<'a> {
     }
 }
 
-/// Where a sensor of the rig had each board, by frame set.
-fn boards(input: &RigInput, id: &SensorId, sensor: &ImageCalibration) -> Vec<(usize, Pose)> {
+/// Where a sensor of the rig saw each board.
+fn boards(input: &RigInput, id: &SensorId, sensor: &ImageCalibration) -> Vec<FrameSetPose> {
     let Some(own) = input.sensors.iter().find(|own| own.id == *id) else { return Vec::new() };
-    let views = own.views.iter().zip(&sensor.views);
-    views.filter_map(|((number, _), view)| Some((*number, view.camera_from_board?))).collect()
+    let pose = |(seen, view): (&FrameSetView, &CalibratedView)| {
+        let sensor_from_board = view.camera_from_board?;
+        Some(FrameSetPose { frame_set: seen.frame_set, sensor_from_board })
+    };
+    own.views.iter().zip(&sensor.views).filter_map(pose).collect()
 }
 
 fn covariance(sensor: &ImageCalibration) -> DMatrix<f64> {

@@ -2,7 +2,7 @@
 //! record a frame later. Two cameras that are fixed to each other see each board from the same
 //! relative pose; with a shifted list the pose scatters as the board moves, but for one shift.
 
-use crate::estimation::consistent_labels::SensorPoses;
+use crate::estimation::consistent_labels::FrameSetPose;
 use crate::geometry::median::median;
 use crate::geometry::pose::Pose;
 
@@ -16,7 +16,7 @@ const EXPLAINS: f64 = 10.0;
 
 /// By how many frame sets `other` lags behind `reference`, negative where it leads; `None` where
 /// it fits as it is, or no shift fits clearly better.
-pub(super) fn list_shift(reference: &SensorPoses, other: &SensorPoses) -> Option<isize> {
+pub(super) fn list_shift(reference: &[FrameSetPose], other: &[FrameSetPose]) -> Option<isize> {
     let as_it_is = scatter(reference, other, 0)?;
     let shifts = (-LONGEST..=LONGEST).filter(|shift| *shift != 0);
     let scattered = shifts.filter_map(|shift| Some((shift, scatter(reference, other, shift)?)));
@@ -26,23 +26,23 @@ pub(super) fn list_shift(reference: &SensorPoses, other: &SensorPoses) -> Option
 
 /// The median distance of the relative poses to the one in their middle, in radians and meters
 /// together; `None` where too few frame sets are shared.
-fn scatter(reference: &SensorPoses, other: &SensorPoses, shift: isize) -> Option<f64> {
-    let shared = other.iter().filter_map(|(frame_set, other_from_board)| {
-        let at = frame_set.checked_add_signed(-shift)?;
-        let (_, first_from_board) = reference.iter().find(|(frame_set, _)| *frame_set == at)?;
-        Some(*other_from_board * first_from_board.inverse())
+fn scatter(reference: &[FrameSetPose], other: &[FrameSetPose], shift: isize) -> Option<f64> {
+    let shared = other.iter().filter_map(|other| {
+        let frame_set = other.frame_set.checked_add_signed(-shift)?;
+        let first = reference.iter().find(|first| first.frame_set == frame_set)?;
+        Some(other.sensor_from_board * first.sensor_from_board.inverse())
     });
     let other_from_first: Vec<Pose> = shared.collect();
     if other_from_first.len() < LEAST_SHARED {
         return None;
     }
-    let spread = |a_from_b: &Pose| {
+    let median_distance = |a_from_b: &Pose| {
         let distance = |c_from_d: &Pose| {
             a_from_b.angle_to(c_from_d) + (a_from_b.translation() - c_from_d.translation()).norm()
         };
         median(other_from_first.iter().map(distance).collect())
     };
-    other_from_first.iter().filter_map(spread).min_by(f64::total_cmp)
+    other_from_first.iter().filter_map(median_distance).min_by(f64::total_cmp)
 }
 
 #[cfg(test)]
@@ -61,16 +61,17 @@ mod tests {
     fn a_shift_is_found_and_no_shift_is_none() {
         let other_from_first =
             Pose::from_axis_angle(Vector3::y() * 0.2, Vector3::new(-0.1, 0.0, 0.0));
-        let reference: SensorPoses = (0..20).map(|k| (k, first_from_board(k))).collect();
+        let seen = |frame_set, sensor_from_board| FrameSetPose { frame_set, sensor_from_board };
+        let reference: Vec<_> = (0..20).map(|k| seen(k, first_from_board(k))).collect();
         for shift in [-3_isize, 0, 1, 7] {
             let moved = |k: usize| Some((k, k.checked_add_signed(-shift)?));
-            let other: SensorPoses = (0..20)
+            let other: Vec<_> = (0..20)
                 .filter_map(moved)
-                .map(|(k, at)| (k, other_from_first * first_from_board(at)))
+                .map(|(k, at)| seen(k, other_from_first * first_from_board(at)))
                 .collect();
             let found = list_shift(&reference, &other);
             assert_eq!(found, (shift != 0).then_some(shift), "{shift}");
         }
-        assert_eq!(list_shift(&reference, &reference[..3].to_vec()), None);
+        assert_eq!(list_shift(&reference, &reference[..3]), None);
     }
 }

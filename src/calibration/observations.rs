@@ -5,6 +5,7 @@ use crate::calibration::rgbd_input::{DepthSensor, RgbdCapture, RgbdInput};
 use crate::calibration::rig_input::RigSensorInput;
 use crate::calibration::sensor::SensorId;
 use crate::estimation::problem::{BoardView, CameraProblem, Correspondence};
+use crate::estimation::rig::FrameSetView;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::target::Target;
@@ -136,12 +137,12 @@ impl CameraFrameSets {
         }
     }
 
-    /// The same as one image sensor of several, called `name`. `number_of` numbers a view, from its
-    /// place among the views and the number of its frame set.
+    /// The same as one image sensor of several, called `name`. `frame_set_of` numbers a view, from
+    /// its index among the views and what was observed.
     pub(super) fn as_rig_sensor(
         &self,
         (name, sensor): (String, SensorKind),
-        number_of: impl Fn(usize, &ObservedFrameSet) -> usize,
+        frame_set_of: impl Fn(usize, &ObservedFrameSet) -> usize,
     ) -> RigSensorInput {
         let seen = self.views().enumerate();
         let seen = seen.filter(|(_, seen)| !seen.corners(sensor).is_empty());
@@ -151,7 +152,10 @@ impl CameraFrameSets {
             image_size: self.image_size(sensor).unwrap_or(ImageSize::new(0, 0)),
             given: self.given.filter(|_| sensor == SensorKind::Color),
             views: seen
-                .map(|(place, seen)| (number_of(place, seen), seen.board_view(sensor)))
+                .map(|(index, seen)| FrameSetView {
+                    frame_set: frame_set_of(index, seen),
+                    view: seen.board_view(sensor),
+                })
                 .collect(),
         }
     }

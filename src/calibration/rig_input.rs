@@ -1,7 +1,7 @@
 //! What a rig saw, before anything is calibrated.
 
 use crate::calibration::sensor::SensorId;
-use crate::estimation::problem::BoardView;
+use crate::estimation::rig::FrameSetView;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::target::Target;
@@ -26,6 +26,6 @@ pub struct RigSensorInput {
     pub image_size: ImageSize,
     /// Its lens, where that is known and held.
     pub given: Option<Lens>,
-    /// What it saw, and in which frame set: those of the same number were seen together.
-    pub views: Vec<(usize, BoardView)>,
+    /// What it saw.
+    pub views: Vec<FrameSetView>,
 }

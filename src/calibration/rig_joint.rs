@@ -71,11 +71,8 @@ impl Joint {
             },
         };
         let sensors: Vec<RigSensor> = group.iter().zip(chosen).map(sensor).collect();
-        let end = sensors
-            .iter()
-            .flat_map(|sensor| &sensor.views)
-            .map(|(frame_set, _)| frame_set + 1)
-            .max();
+        let end =
+            sensors.iter().flat_map(|sensor| &sensor.views).map(|seen| seen.frame_set + 1).max();
         let problem = RigProblem { sensors, frame_sets: end.unwrap_or(0) };
         let estimate = calibrate_rig(&problem)?;
         let reference = &group[0].input.id;

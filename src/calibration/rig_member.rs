@@ -3,8 +3,8 @@
 use crate::calibration::rig_input::RigSensorInput;
 use crate::calibration::solve::SolvedCamera;
 use crate::estimation::camera::ViewEstimate;
-use crate::estimation::consistent_labels::SensorPoses;
-use crate::estimation::problem::BoardView;
+use crate::estimation::consistent_labels::FrameSetPose;
+use crate::estimation::rig::FrameSetView;
 use crate::geometry::pose::Pose;
 
 /// A sensor that was calibrated by itself.
@@ -22,11 +22,12 @@ impl Alone<'_> {
         }
     }
 
-    /// The pose of every view in use, with its frame set.
-    pub(super) fn poses(&self) -> SensorPoses {
+    /// The pose of every view in use.
+    pub(super) fn poses(&self) -> Vec<FrameSetPose> {
         let views = self.input.views.iter().zip(&self.solved.estimate.views);
-        let pose = |((frame_set, _), view): (&(usize, BoardView), &ViewEstimate)| {
-            Some((*frame_set, view.camera_from_board.filter(|_| view.fault.is_none())?))
+        let pose = |(seen, view): (&FrameSetView, &ViewEstimate)| {
+            let sensor_from_board = view.camera_from_board.filter(|_| view.fault.is_none())?;
+            Some(FrameSetPose { frame_set: seen.frame_set, sensor_from_board })
         };
         views.filter_map(pose).collect()
     }
@@ -36,7 +37,7 @@ impl Alone<'_> {
         &self,
         board_from_labels: &[Pose],
         chosen: &[usize],
-    ) -> Vec<(usize, BoardView)> {
+    ) -> Vec<FrameSetView> {
         let good = self
             .solved
             .estimate
@@ -45,13 +46,13 @@ impl Alone<'_> {
             .map(|view| view.fault.is_none() && view.camera_from_board.is_some());
         let mut chosen = chosen.iter();
         let views = self.input.views.iter().zip(good);
-        let with_labels_corrected = |((frame_set, view), good): (&(usize, BoardView), bool)| {
+        let with_labels_corrected = |(seen, good): (&FrameSetView, bool)| {
             let symmetry = if good { chosen.next().copied().unwrap_or(0) } else { 0 };
-            let mut view = view.clone();
-            for corner in &mut view.correspondences {
+            let mut seen = seen.clone();
+            for corner in &mut seen.view.correspondences {
                 corner.point_in_board = board_from_labels[symmetry] * corner.point_in_board;
             }
-            (*frame_set, view)
+            seen
         };
         views.map(with_labels_corrected).collect()
     }

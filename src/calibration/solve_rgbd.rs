@@ -9,11 +9,12 @@ use crate::calibration::rgbd_input::{RgbdInput, poses, problem, views};
 use crate::calibration::solve::{SolvedCamera, solve_views};
 use crate::detection::board_plane::NoPlane;
 use crate::estimation::camera::CameraOptions;
-use crate::estimation::consistent_labels::{SensorPoses, consistent_labels};
+use crate::estimation::consistent_labels::{FrameSetPose, consistent_labels};
 use crate::estimation::error::EstimationError;
 use crate::estimation::measured_board::MeasuredBoard;
 use crate::estimation::problem::{BoardView, Correspondence, Shutter};
 use crate::estimation::rgbd::{RgbdEstimate, RgbdProblem, RgbdView, calibrate_rgbd};
+use crate::estimation::rig::FrameSetView;
 use crate::geometry::pose::Pose;
 use crate::imaging::depth_image::DepthImage;
 
@@ -40,9 +41,9 @@ pub struct SolvedRgbd {
 }
 
 impl SolvedRgbd {
-    /// The board in the infrared images that were taken together with color's, each by the number
-    /// of its capture: its corners named as in color, and where they were when color was taken.
-    pub fn infrared_with_color(&self) -> Vec<(usize, BoardView)> {
+    /// The board in the infrared images that were taken together with color's, numbered as the
+    /// captures: its corners named as in color, and where they were when color was taken.
+    pub fn infrared_with_color(&self) -> Vec<FrameSetView> {
         let joint = &self.joint;
         let together = self.problem.views.iter().zip(&self.captures).enumerate().filter(
             |(index, (view, _))| !view.infrared.is_empty() && !joint.not_together.contains(index),
@@ -53,7 +54,8 @@ impl SolvedRgbd {
             correspondences.iter_mut().for_each(|corner| {
                 corner.point_in_board = board_from_moved_on * corner.point_in_board;
             });
-            (*capture, BoardView { name: view.name.clone(), correspondences })
+            let view = BoardView { name: view.name.clone(), correspondences };
+            FrameSetView { frame_set: *capture, view }
         };
         together.map(as_in_color).collect()
     }
@@ -159,8 +161,11 @@ fn labeled_as_in_color(
     infrared: &SolvedCamera,
 ) -> RgbdInput {
     let symmetries = input.board.symmetries();
-    let seen = |poses: Vec<Option<Pose>>| -> SensorPoses {
-        poses.into_iter().enumerate().filter_map(|(index, pose)| Some((index, pose?))).collect()
+    let seen = |camera_from_board: Vec<Option<Pose>>| -> Vec<FrameSetPose> {
+        let pose = |(frame_set, pose): (usize, Option<Pose>)| {
+            Some(FrameSetPose { frame_set, sensor_from_board: pose? })
+        };
+        camera_from_board.into_iter().enumerate().filter_map(pose).collect()
     };
     let sensors =
         [seen(poses(input, color, |c| &c.color)), seen(poses(input, infrared, |c| &c.infrared))];
@@ -173,9 +178,9 @@ fn labeled_as_in_color(
         .filter(|capture| !capture.is_view)
         .for_each(|capture| capture.infrared.clear());
     // Color comes first, and keeps its labels.
-    for ((index, _), symmetry) in sensors[1].iter().zip(&chosen[1]) {
+    for (seen, symmetry) in sensors[1].iter().zip(&chosen[1]) {
         let board_from_labels = symmetries[*symmetry].inverse();
-        let corners = &mut labeled.captures[*index].infrared;
+        let corners = &mut labeled.captures[seen.frame_set].infrared;
         corners
             .iter_mut()
             .for_each(|corner| corner.point_in_board = board_from_labels * corner.point_in_board);

@@ -90,7 +90,7 @@ pub enum RigError {
 pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig, RigError> {
     let (mut alone, mut failed) = (Vec::new(), Vec::new());
     for sensor in &input.sensors {
-        let views = sensor.views.iter().map(|(_, view)| view.clone()).collect();
+        let views = sensor.views.iter().map(|seen| seen.view.clone()).collect();
         let held = |lens: Lens| CameraOptions::holding(&lens, &options.interrupt);
         let options = sensor.given.map_or_else(|| options.clone(), held);
         match solve_views(&CameraProblem { image_size: sensor.image_size, views }, &options) {
@@ -180,9 +180,8 @@ fn shifted_list(alone: &[Alone<'_>]) -> Option<RigError> {
 /// Which cameras share frame sets, directly or through others; each group in order, and the groups
 /// by their first camera.
 fn connected(alone: &[Alone<'_>]) -> Vec<Vec<usize>> {
-    let frame_sets = |one: &Alone<'_>| {
-        one.poses().into_iter().map(|(frame_set, _)| frame_set).collect::<Vec<_>>()
-    };
+    let frame_sets =
+        |one: &Alone<'_>| one.poses().into_iter().map(|own| own.frame_set).collect::<Vec<_>>();
     let frame_sets: Vec<Vec<usize>> = alone.iter().map(frame_sets).collect();
     let share = |a: usize, b: usize| {
         frame_sets[a].iter().any(|frame_set| frame_sets[b].contains(frame_set))

@@ -7,6 +7,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::*;
 use crate::estimation::problem::{BoardView, Correspondence, LensChoice};
+use crate::estimation::rig::FrameSetView;
 use crate::geometry::board::{BoardSize, Chessboard};
 use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::lens::{Lens, LensModel};
@@ -73,7 +74,8 @@ fn input(board: Chessboard, sees: impl Fn(usize, usize) -> bool) -> RigInput {
                         std_px: NOISE_PX,
                     })
                     .collect();
-                views.push((frame_set, BoardView { name: frame_set.to_string(), correspondences }));
+                let view = BoardView { name: frame_set.to_string(), correspondences };
+                views.push(FrameSetView { frame_set, view });
             }
         }
         let name = NAMES[camera];

@@ -5,18 +5,25 @@
 use crate::geometry::median::median;
 use crate::geometry::pose::Pose;
 
-/// The poses that each sensor found of the board by itself, with the frame set (counted from 0) of
-/// each.
-pub type SensorPoses = Vec<(usize, Pose)>;
+/// The pose that a sensor found of the board by itself in one frame set.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FrameSetPose {
+    /// Which frame set, counted from 0.
+    pub frame_set: usize,
+    /// Where the board was, as this sensor labeled it.
+    pub sensor_from_board: Pose,
+}
 
 /// For each view of each sensor, which of `board_from_labels` to apply: `sensor_from_board ·
 /// board_from_labels` is where the board is when its corners are labeled as the sensor that was
 /// placed first labeled them. These are the rotations that map the board's pattern to itself, the
 /// identity among them. Sensors are placed one after the other, those with the most frame sets
 /// in common first; a view that no other sensor shares keeps its labels.
-pub fn consistent_labels(sensors: &[SensorPoses], board_from_labels: &[Pose]) -> Vec<Vec<usize>> {
-    let frame_sets =
-        sensors.iter().flatten().map(|(frame_set, _)| frame_set + 1).max().unwrap_or(0);
+pub fn consistent_labels(
+    sensors: &[Vec<FrameSetPose>],
+    board_from_labels: &[Pose],
+) -> Vec<Vec<usize>> {
+    let frame_sets = sensors.iter().flatten().map(|own| own.frame_set + 1).max().unwrap_or(0);
     let mut chosen: Vec<Vec<usize>> = sensors.iter().map(|views| vec![0; views.len()]).collect();
     let mut reference_from_board: Vec<Option<Pose>> = vec![None; frame_sets];
     let mut left: Vec<usize> = (0..sensors.len()).collect();
@@ -24,7 +31,7 @@ pub fn consistent_labels(sensors: &[SensorPoses], board_from_labels: &[Pose]) ->
         let shared = |sensor: &usize| {
             sensors[*sensor]
                 .iter()
-                .filter(|(frame_set, _)| reference_from_board[*frame_set].is_some())
+                .filter(|own| reference_from_board[own.frame_set].is_some())
                 .count()
         };
         // The first of those with the most in common.
@@ -37,21 +44,22 @@ pub fn consistent_labels(sensors: &[SensorPoses], board_from_labels: &[Pose]) ->
         let sensor = left.remove(next);
         let sensor_from_reference =
             agreed(&sensors[sensor], &reference_from_board, board_from_labels);
-        for (view, (frame_set, sensor_from_board)) in sensors[sensor].iter().enumerate() {
+        for (view, own) in sensors[sensor].iter().enumerate() {
+            let FrameSetPose { frame_set, sensor_from_board } = *own;
             let Some(sensor_from_reference) = sensor_from_reference else {
-                reference_from_board[*frame_set].get_or_insert(*sensor_from_board);
+                reference_from_board[frame_set].get_or_insert(sensor_from_board);
                 continue;
             };
-            if let Some(known) = reference_from_board[*frame_set] {
+            if let Some(known) = reference_from_board[frame_set] {
                 chosen[sensor][view] = nearest_symmetry(
-                    sensor_from_board,
+                    &sensor_from_board,
                     &(sensor_from_reference * known),
                     board_from_labels,
                 )
-                .0;
+                .symmetry;
             } else {
-                reference_from_board[*frame_set] =
-                    Some(sensor_from_reference.inverse() * *sensor_from_board);
+                reference_from_board[frame_set] =
+                    Some(sensor_from_reference.inverse() * sensor_from_board);
             }
         }
     }
@@ -61,43 +69,54 @@ pub fn consistent_labels(sensors: &[SensorPoses], board_from_labels: &[Pose]) ->
 /// The relative pose that most shared frame sets agree on; `None` for a sensor that shares
 /// none.
 fn agreed(
-    views: &SensorPoses,
+    views: &[FrameSetPose],
     reference_from_board: &[Option<Pose>],
     board_from_labels: &[Pose],
 ) -> Option<Pose> {
     let shared: Vec<(Pose, Pose)> = views
         .iter()
-        .filter_map(|(frame_set, pose)| Some((*pose, reference_from_board[*frame_set]?)))
+        .filter_map(|own| Some((own.sensor_from_board, reference_from_board[own.frame_set]?)))
         .collect();
     let candidates = shared.iter().flat_map(|(pose, reference)| {
         board_from_labels.iter().map(move |symmetry| *pose * *symmetry * reference.inverse())
     });
-    let spread = |sensor_from_reference: &Pose| {
+    let scatter = |sensor_from_reference: &Pose| {
         let distances = shared.iter().map(|(pose, reference)| {
-            nearest_symmetry(pose, &(*sensor_from_reference * *reference), board_from_labels).1
+            let expected_from_board = *sensor_from_reference * *reference;
+            nearest_symmetry(pose, &expected_from_board, board_from_labels).distance
         });
         median(distances.collect()).unwrap_or(f64::INFINITY)
     };
     candidates
-        .map(|candidate| (spread(&candidate), candidate))
+        .map(|candidate| (scatter(&candidate), candidate))
         .min_by(|a, b| a.0.total_cmp(&b.0))
         .map(|(_, pose)| pose)
 }
 
-/// The symmetry that brings a pose nearest to the expected one, and how far from it (radians plus
-/// meters).
+/// The labels under which a pose is nearest to the one that is expected.
+#[derive(Debug, Clone, Copy)]
+struct NearestLabels {
+    /// Which of the board's symmetries.
+    symmetry: usize,
+    /// How far the pose is from the expected one, in radians plus meters.
+    distance: f64,
+}
+
 fn nearest_symmetry(
     sensor_from_board: &Pose,
     expected_from_board: &Pose,
     board_from_labels: &[Pose],
-) -> (usize, f64) {
+) -> NearestLabels {
     let distance = |board_from_labels: &Pose| {
         let relabeled = *sensor_from_board * *board_from_labels;
         relabeled.angle_to(expected_from_board)
             + (relabeled.translation() - expected_from_board.translation()).norm()
     };
     let all = board_from_labels.iter().map(distance).enumerate();
-    all.min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0, f64::INFINITY))
+    let nearest = all
+        .map(|(symmetry, distance)| NearestLabels { symmetry, distance })
+        .min_by(|a, b| a.distance.total_cmp(&b.distance));
+    nearest.unwrap_or(NearestLabels { symmetry: 0, distance: f64::INFINITY })
 }
 
 #[cfg(test)]
@@ -128,14 +147,13 @@ mod tests {
             })
             .collect();
         let mut applied = Vec::new();
-        let mut seen = |sensor: usize, frame_sets: std::ops::Range<usize>| -> SensorPoses {
+        let mut seen = |sensor: usize, frame_sets: std::ops::Range<usize>| -> Vec<FrameSetPose> {
             let view = |frame_set: usize| {
                 let symmetry = rng.random_range(0..symmetries.len());
                 applied.push((sensor, frame_set, symmetry));
-                (
-                    frame_set,
-                    sensor_from_rig[sensor] * rig_from_board[frame_set] * symmetries[symmetry],
-                )
+                let rig_from_labels = rig_from_board[frame_set] * symmetries[symmetry];
+                let sensor_from_board = sensor_from_rig[sensor] * rig_from_labels;
+                FrameSetPose { frame_set, sensor_from_board }
             };
             frame_sets.map(view).collect()
         };
@@ -145,8 +163,9 @@ mod tests {
         for frame_set in 0..12 {
             let views = sensors.iter().zip(&chosen).zip(&sensor_from_rig).filter_map(
                 |((views, chosen), from_rig)| {
-                    let at = views.iter().position(|(seen, _)| *seen == frame_set)?;
-                    Some(from_rig.inverse() * views[at].1 * symmetries[chosen[at]])
+                    let at = views.iter().position(|own| own.frame_set == frame_set)?;
+                    let sensor_from_board = views[at].sensor_from_board;
+                    Some(from_rig.inverse() * sensor_from_board * symmetries[chosen[at]])
                 },
             );
             let first_from_board: Vec<Pose> = views.collect();
@@ -159,8 +178,9 @@ mod tests {
 
     #[test]
     fn a_board_without_a_twin_keeps_its_labels() {
-        let pose = Pose::from_axis_angle(Vector3::x(), Vector3::z());
-        let sensors = [vec![(0, pose)], vec![(0, pose), (4, pose)], vec![]];
+        let sensor_from_board = Pose::from_axis_angle(Vector3::x(), Vector3::z());
+        let seen = |frame_set| FrameSetPose { frame_set, sensor_from_board };
+        let sensors = [vec![seen(0)], vec![seen(0), seen(4)], vec![]];
         assert_eq!(consistent_labels(&sensors, &[Pose::identity()]), [vec![0], vec![0, 0], vec![]]);
     }
 }

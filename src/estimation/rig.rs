@@ -7,6 +7,7 @@ use nalgebra::{DMatrix, Matrix6};
 use crate::estimation::camera_estimate::{CameraEstimate, Part, assemble};
 use crate::estimation::camera_fit::{CameraFit, fit_camera};
 use crate::estimation::clustered_covariance::{Clustered, FitCovariance};
+use crate::estimation::consistent_labels::FrameSetPose;
 use crate::estimation::error::EstimationError;
 use crate::estimation::joint::{BoardObservation, Layout, State};
 use crate::estimation::lens_choice::choose_lens;
@@ -35,13 +36,22 @@ pub struct RigSensor {
     pub name: String,
     /// The size of its images.
     pub image_size: ImageSize,
-    /// What it saw, and at which frame set (counted from 0).
-    pub views: Vec<(usize, BoardView)>,
+    /// What it saw.
+    pub views: Vec<FrameSetView>,
     /// What to estimate of its lens.
     pub options: CameraOptions,
     /// Covariance of its lens by a solve of its own that measured the board's shape, which it
     /// counts, where `options.measured_board` comes of it; `None` for a board of known shape.
     pub lens_covariance_with_shape: Option<DMatrix<f64>>,
+}
+
+/// A sensor's view of the board in one frame set.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FrameSetView {
+    /// Which frame set, counted from 0: sensors' views of one frame set were taken together.
+    pub frame_set: usize,
+    /// The corners that the sensor saw then.
+    pub view: BoardView,
 }
 
 /// A calibrated rig.
@@ -137,15 +147,19 @@ impl RigSensor {
     fn to_camera_problem(&self) -> CameraProblem {
         CameraProblem {
             image_size: self.image_size,
-            views: self.views.iter().map(|(_, view)| view.clone()).collect(),
+            views: self.views.iter().map(|seen| seen.view.clone()).collect(),
         }
     }
 
-    /// Each frame set that it has a good pose of in `fit`, with that pose.
-    fn placed<'a>(&'a self, fit: &'a CameraFit) -> impl Iterator<Item = (usize, Pose)> + 'a {
+    /// The good poses of the board in `fit`.
+    fn placed<'a>(&'a self, fit: &'a CameraFit) -> impl Iterator<Item = FrameSetPose> + 'a {
         let state = &fit.robust.minimum.state;
         let views = self.views.iter().enumerate().filter(|(view, _)| fit.faults[*view].is_none());
-        views.map(|(view, (frame_set, _))| (*frame_set, state.rig_from_board[view]))
+        // A sensor by itself is its own rig.
+        views.map(|(view, seen)| FrameSetPose {
+            frame_set: seen.frame_set,
+            sensor_from_board: state.rig_from_board[view],
+        })
     }
 }
 
@@ -163,7 +177,7 @@ fn fit_jointly(
     let (mut observations, mut faults) = (Vec::new(), Vec::new());
     for (index, (sensor, (_, fit))) in problem.sensors.iter().zip(alone).enumerate() {
         let noise = own_noise(fit);
-        for (view, (frame_set, _)) in sensor.views.iter().enumerate() {
+        for (view, FrameSetView { frame_set, .. }) in sensor.views.iter().enumerate() {
             let mut observation = BoardObservation {
                 sensor: index,
                 frame_set: *frame_set,
@@ -216,7 +230,7 @@ fn place_sensors(
         .sensors
         .iter()
         .flat_map(|s| &s.views)
-        .any(|(frame_set, _)| *frame_set >= problem.frame_sets);
+        .any(|seen| seen.frame_set >= problem.frame_sets);
     if frame_set_out_of_range || problem.sensors.is_empty() {
         return Err(EstimationError::NoFit);
     }
@@ -224,8 +238,8 @@ fn place_sensors(
         let next = (0..problem.sensors.len()).filter(|k| sensor_from_rig[*k].is_none()).find_map(
             |sensor| {
                 let placed = problem.sensors[sensor].placed(&alone[sensor].1);
-                let shared = placed.filter_map(|(frame_set, pose)| {
-                    Some(pose * rig_from_board[frame_set]?.inverse())
+                let shared = placed.filter_map(|own| {
+                    Some(own.sensor_from_board * rig_from_board[own.frame_set]?.inverse())
                 });
                 let first = sensor == 0;
                 let sensor_from_rig: Vec<Pose> =
@@ -240,8 +254,9 @@ fn place_sensors(
             });
         };
         sensor_from_rig[sensor] = Some(sensor_from);
-        for (frame_set, pose) in problem.sensors[sensor].placed(&alone[sensor].1) {
-            rig_from_board[frame_set].get_or_insert(sensor_from.inverse() * pose);
+        for own in problem.sensors[sensor].placed(&alone[sensor].1) {
+            rig_from_board[own.frame_set]
+                .get_or_insert(sensor_from.inverse() * own.sensor_from_board);
         }
     }
     Ok((sensor_from_rig.into_iter().flatten().collect(), rig_from_board))

@@ -7,7 +7,7 @@ use plumb::calibration::solve_rig::solve_rig;
 use plumb::estimation::camera::CameraOptions;
 use plumb::estimation::error::EstimationError;
 use plumb::estimation::problem::LensChoice;
-use plumb::estimation::rig::{RigProblem, RigSensor, calibrate_rig};
+use plumb::estimation::rig::{FrameSetView, RigProblem, RigSensor, calibrate_rig};
 use plumb::estimation::view_fault::ViewFault;
 use plumb::geometry::lens::LensModel;
 use plumb::geometry::pose::Pose;
@@ -28,7 +28,7 @@ fn stereo(frame_sets: usize, seed: u64) -> (RigProblem, Pose) {
 fn center_in_board(problem: &RigProblem) -> Point3<f64> {
     let views = problem.sensors.iter().flat_map(|sensor| &sensor.views);
     let points: Vec<_> = views
-        .flat_map(|(_, view)| &view.correspondences)
+        .flat_map(|seen| &seen.view.correspondences)
         .map(|c| c.point_in_board.coords)
         .collect();
     Point3::from(points.iter().sum::<Vector3<f64>>() / points.len() as f64)
@@ -55,7 +55,8 @@ fn stereo_with_poses(frame_sets: usize, seed: u64) -> (RigProblem, Pose, Vec<Pos
         let views = camera.problem(&poses, rng).views;
         let lens = LensChoice::Model(camera.lens.model());
         let options = CameraOptions { lens, ..CameraOptions::default() };
-        let views = frame_sets.into_iter().zip(views).collect();
+        let numbered = |(frame_set, view)| FrameSetView { frame_set, view };
+        let views = frame_sets.into_iter().zip(views).map(numbered).collect();
         RigSensor {
             name: name.to_owned(),
             image_size: camera.size,
@@ -109,11 +110,11 @@ fn every_sensor_knows_how_well_it_knows_the_board_s_place() {
         let estimate = calibrate_rig(&problem).unwrap();
         let center = center_in_board(&problem);
         for (sensor, from_left) in [(0, Pose::identity()), (1, right_from_left)] {
-            for ((instant, _), view) in
+            for (seen, view) in
                 problem.sensors[sensor].views.iter().zip(&estimate.cameras[sensor].views)
             {
                 let (found, truth) =
-                    (view.camera_from_board.unwrap(), from_left * left_from_board[*instant]);
+                    (view.camera_from_board.unwrap(), from_left * left_from_board[seen.frame_set]);
                 let covariance = view.covariance.unwrap();
                 let rotation = (found.rotation() * truth.rotation().inverse()).scaled_axis();
                 let translation = (found * center - truth * center).norm();
@@ -147,7 +148,7 @@ fn sheared(problem: &mut RigProblem, sensor: usize, std_px: f64, seed: u64) {
     let normal = Normal::new(0.0, std_px).unwrap();
     let mut rng = SeededCamera::rng(seed);
     let size = problem.sensors[sensor].image_size;
-    for (_, view) in &mut problem.sensors[sensor].views {
+    for FrameSetView { view, .. } in &mut problem.sensors[sensor].views {
         let [across, down] = [normal.sample(&mut rng), normal.sample(&mut rng)];
         for corner in &mut view.correspondences {
             let time = corner.pixel.y / f64::from(size.height) - 0.5;
@@ -211,7 +212,7 @@ fn a_right_rig_is_not_accused() {
 fn twisted(problem: &mut RigProblem, boards: &[Vec<Pose>], height_m: f64) {
     let cameras = [SeededCamera::ordinary().lens, right_camera().lens];
     for ((sensor, lens), boards) in problem.sensors.iter_mut().zip(&cameras).zip(boards) {
-        for ((_, view), sensor_from_board) in sensor.views.iter_mut().zip(boards) {
+        for (FrameSetView { view, .. }, sensor_from_board) in sensor.views.iter_mut().zip(boards) {
             for corner in &mut view.correspondences {
                 let mut point = corner.point_in_board;
                 point.z = height_m * (point.x / 0.12 - 1.0) * (point.y / 0.075 - 1.0);
@@ -270,7 +271,7 @@ fn an_uneven_board_is_measured_by_the_whole_rig() {
         let (mut problem, truth, left_from_board) = stereo_with_poses(20, seed);
         let of_sensor = |sensor: usize, from_left: Pose| -> Vec<Pose> {
             let views = problem.sensors[sensor].views.iter();
-            views.map(|(frame_set, _)| from_left * left_from_board[*frame_set]).collect()
+            views.map(|seen| from_left * left_from_board[seen.frame_set]).collect()
         };
         let boards = [of_sensor(0, Pose::identity()), of_sensor(1, truth)];
         twisted(&mut problem, &boards, 0.002);
@@ -311,7 +312,7 @@ fn an_uneven_board_is_measured_by_the_whole_rig() {
 #[test]
 fn a_board_labeled_from_its_other_end_is_found_and_named() {
     let (mut problem, truth) = stereo(20, 3);
-    let (_, view) = &mut problem.sensors[1].views[4];
+    let view = &mut problem.sensors[1].views[4].view;
     let reversed: Vec<_> = view.correspondences.iter().rev().map(|corner| corner.pixel).collect();
     for (corner, pixel) in view.correspondences.iter_mut().zip(reversed) {
         corner.pixel = pixel;
@@ -325,8 +326,8 @@ fn a_board_labeled_from_its_other_end_is_found_and_named() {
 #[test]
 fn sensors_that_share_nothing_are_refused() {
     let (mut problem, _) = stereo(20, 4);
-    for (instant, _) in &mut problem.sensors[1].views {
-        *instant += 20;
+    for seen in &mut problem.sensors[1].views {
+        seen.frame_set += 20;
     }
     problem.frame_sets = 40;
     assert_eq!(

@@ -14,7 +14,7 @@ use crate::calibration::information::transfer_goal::TransferGoal;
 use crate::calibration::information::view_information::{ViewNormal, WeightedCorner};
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::problem::{BoardView, Correspondence, LensChoice};
-use crate::estimation::rig::{RigEstimate, RigProblem, RigSensor, calibrate_rig};
+use crate::estimation::rig::{FrameSetView, RigEstimate, RigProblem, RigSensor, calibrate_rig};
 use crate::estimation::uncertainty::PixelGrid;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::Pixel;
@@ -224,7 +224,8 @@ fn rig_problem(lenses: [&Lens; 2], seen: &[(Pose, [bool; 2])], mut seed: u64) ->
                 Correspondence { point_in_board, pixel: Pixel::new(x, y), std_px: NOISE_PX }
             };
             let correspondences = board().corners_in_board().into_iter().map(&mut corner).collect();
-            (frame_set, BoardView { name: frame_set.to_string(), correspondences })
+            let view = BoardView { name: frame_set.to_string(), correspondences };
+            FrameSetView { frame_set, view }
         };
         let lens = LensChoice::Model(lenses[camera].model());
         RigSensor {
