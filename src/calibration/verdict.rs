@@ -134,7 +134,7 @@ fn cause(estimate: &CameraEstimate, check: &ModelCheck) -> String {
             "board or camera moved while the rows of an image were read one after another (rolling shutter), which explains {percent:.0} % of the residuals: hold both still for each view"
         )
     });
-    let uneven = check.misfit.unevenness_m.map(|meters| {
+    let uneven = check.misfit.peak_to_valley_m.map(|meters| {
         let millimeters = meters * 1000.0;
         format!(
             "residuals follow the board, which seems bent or uneven by {millimeters:.2} mm: mount it on something flat and stiff"
@@ -223,7 +223,8 @@ fn canceling_coefficients(
 }
 
 fn bent_board(check: &ModelCheck) -> Option<Finding> {
-    let [x, y] = check.bow_m.filter(|_| check.misfit.unevenness_m.is_none())?.map(|m| m * 1000.0);
+    let [x, y] =
+        check.board_bow_m.filter(|_| check.misfit.peak_to_valley_m.is_none())?.map(|m| m * 1000.0);
     let reason = format!(
         "residuals follow the board, which seems bent by {x:.1} mm along its rows and {y:.1} mm along its columns: mount it on something flat and stiff, or have its warp estimated"
     );

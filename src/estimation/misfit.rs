@@ -3,6 +3,12 @@
 //! There are two: a board whose points are off its plane, alike in every view; and a board or camera
 //! that moves while the rows of the image are read one after another.
 //!
+//! The board is tested twice. A bow has two unknowns, z = a (1 − x²) + b (1 − y²) over the half
+//! extents: it is named with its directions, and cheap enough to be tested of every set. Any shape
+//! has the seven terms of second and third order, and its height from the lowest to the highest
+//! point is named: it is tested of sets that something else shows to be wrong. Where both are found
+//! the verdict names the second, which contains the first.
+//!
 //! Motion has twelve unknowns a view, which always explain something. So it must explain far more
 //! than a board of any shape does, or clearly more than the same motion with columns read in place
 //! of rows. Those two differ by perspective only, since a shear along rows is a shear along columns
@@ -11,6 +17,8 @@
 use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix3xX, Point3, Vector3};
 
 use crate::estimation::camera_fit::CameraFit;
+use crate::estimation::joint::Layout;
+use crate::estimation::joint::per_observation::{assemble, linearize_each};
 use crate::estimation::problem::{BoardShape, CameraOptions, Shutter};
 use crate::geometry::pixel::Pixel;
 
@@ -21,14 +29,21 @@ pub struct Misfit {
     /// explains a good part.
     pub rolling_shutter: Option<f64>,
     /// How far the board's points seem to be off a plane, from the lowest to the highest, in
-    /// meters, where that explains a visible part of what is left.
-    pub unevenness_m: Option<f64>,
+    /// meters, where that explains a good part of the residuals. (A board that is measured has the
+    /// root mean square instead, [`crate::estimation::measured_board::MeasuredBoard::unevenness_m`].)
+    pub peak_to_valley_m: Option<f64>,
 }
 
-/// The least part of the residuals' squares that an uneven board must explain to be named, and the
-/// least of that in units of the noise's variance; chance alone explains 7.
-const UNEVEN_GAIN: [f64; 2] = [0.05, 40.0];
+/// The least part of the residuals' squares that the board's shape must explain to be named: less
+/// would lower their root mean square by less than 2.5 %.
+const SHAPE_LEAST_PART: f64 = 0.05;
+/// The least of that in units of the noise's variance. Chance explains a χ² with as many degrees of
+/// freedom as the shape has unknowns; with seven it is above this once in a million times.
+const SHAPE_LEAST_CHI2: f64 = 40.0;
 
+// What motion must explain. Chosen when photographs of a rolling shutter (photon-lifecam, where it
+// explains 83 % of the squares) and of uneven boards (opencv-samples) were the only real ones, and
+// not swept.
 /// Motion must leave less than this part of the variance that a board of any shape leaves, …
 const MOTION_LEFT: f64 = 0.8;
 /// … and either less than this part, …
@@ -76,18 +91,40 @@ impl Misfit {
             rows.variance_left() < MOTION_ALONE * without_motion || by_columns()
         };
         if let Some(rows) = rows.filter(is_motion) {
-            return Self { rolling_shutter: Some(rows.decrease / rows.cost), unevenness_m: None };
+            let rolling_shutter = Some(rows.decrease / rows.cost);
+            return Self { rolling_shutter, peak_to_valley_m: None };
         }
-        let is_uneven = |score: &Score| {
-            score.decrease > UNEVEN_GAIN[0] * score.cost
-                && score.decrease > UNEVEN_GAIN[1] * fit.noise_square()
-        };
-        let unevenness_m = shape
+        let peak_to_valley_m = shape
             .filter(|_| options.board_shape == BoardShape::Flat)
-            .filter(is_uneven)
-            .map(|score| score.unevenness_m(fit, views));
-        Self { rolling_shutter: None, unevenness_m }
+            .filter(|score| is_shape(score.decrease, score.cost, fit))
+            .map(|score| score.peak_to_valley_m(fit, views));
+        Self { rolling_shutter: None, peak_to_valley_m }
     }
+}
+
+/// Whether a shape that lowers the sum of squares from `cost` by `decrease` is to be named.
+fn is_shape(decrease: f64, cost: f64, fit: &CameraFit) -> bool {
+    decrease > SHAPE_LEAST_PART * cost && decrease > SHAPE_LEAST_CHI2 * fit.noise_square()
+}
+
+/// The bow of a board that was taken as flat, along x and along y in meters, as
+/// [`crate::estimation::joint::State::warp`] has it, where it explains enough.
+pub(crate) fn board_bow_m(fit: &CameraFit, views: &[usize]) -> Option<[f64; 2]> {
+    let points = || views.iter().flat_map(|view| &fit.observations[*view].points);
+    let [only] = fit.layout.sensors.as_slice() else { return None };
+    if fit.layout.warp.is_some() || points().any(|p| p.z != 0.0) {
+        return None;
+    }
+    let half_extent = half_extent(&points());
+    let (layout, state) =
+        (Layout::new(vec![only.lens.clone()], Some(half_extent)), &fit.robust.minimum.state);
+    let local = linearize_each((&layout, state), &fit.observations, views)?;
+    let parts = views.iter().enumerate().map(|(k, view)| (*view, k));
+    let equations = assemble(&local, (&layout, state), &fit.observations, (parts, views.len()));
+    let step = equations.solve(0.0)?;
+    let last = step.global.len() - 2;
+    is_shape(step.predicted_decrease, equations.cost, fit)
+        .then(|| [step.global[last], step.global[last + 1]])
 }
 
 /// What is added to the model.
@@ -162,8 +199,8 @@ impl Score {
     }
 
     /// From the lowest to the highest of the board's points, off the plane that fits them best.
-    fn unevenness_m(&self, fit: &CameraFit, views: &[usize]) -> f64 {
-        let half = half_extent(fit);
+    fn peak_to_valley_m(&self, fit: &CameraFit, views: &[usize]) -> f64 {
+        let half = board_half_extent(fit);
         let points: Vec<&Point3<f64>> =
             views.iter().flat_map(|view| &fit.observations[*view].points).collect();
         let heights = points
@@ -178,10 +215,14 @@ impl Score {
     }
 }
 
-/// Half the board's extent along x and y, about the common center.
-fn half_extent(fit: &CameraFit) -> [f64; 2] {
-    let points = || fit.observations.iter().flat_map(|observation| &observation.points);
-    [0, 1].map(|axis| points().map(|p| p[axis].abs()).fold(f64::MIN_POSITIVE, f64::max))
+/// Half the extent of `points` along x and y, about the common center, in meters.
+fn half_extent<'a>(points: &(impl Iterator<Item = &'a Point3<f64>> + Clone)) -> [f64; 2] {
+    [0, 1].map(|axis| points.clone().map(|p| p[axis].abs()).fold(f64::MIN_POSITIVE, f64::max))
+}
+
+/// That of all points of the fit.
+fn board_half_extent(fit: &CameraFit) -> [f64; 2] {
+    half_extent(&fit.observations.iter().flat_map(|observation| &observation.points))
 }
 
 fn shape_at(point: &Point3<f64>, half: [f64; 2]) -> [f64; SHAPE] {
@@ -194,7 +235,7 @@ fn shape_at(point: &Point3<f64>, half: [f64; 2]) -> [f64; SHAPE] {
 fn linearized(fit: &CameraFit, view: usize, extra: Extra) -> Option<(DMatrix<f64>, DVector<f64>)> {
     let (observation, lens) = (&fit.observations[view], fit.lens());
     let pose = fit.robust.minimum.state.rig_from_board[observation.frame_set];
-    let (rotation, half) = (pose.rotation_matrix(), half_extent(fit));
+    let (rotation, half) = (pose.rotation_matrix(), board_half_extent(fit));
     let used: Vec<usize> = (0..observation.points.len()).filter(|k| observation.used[*k]).collect();
     let spread = fit.layout.sensors[0].lens.spread(lens);
     let columns = fit.layout.len + extra.shape + extra.per_view();

@@ -5,12 +5,11 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::estimation::camera_estimate::CameraEstimate;
 use crate::estimation::camera_fit::CameraFit;
-use crate::estimation::joint::Layout;
 use crate::estimation::joint::minimize::Minimum;
-use crate::estimation::joint::per_observation::{assemble, linearize_each};
+use crate::estimation::joint::per_observation::assemble;
 use crate::estimation::lens_misfit::LensMisfit;
 use crate::estimation::lens_trial::{refit, squares_under};
-use crate::estimation::misfit::Misfit;
+use crate::estimation::misfit::{Misfit, board_bow_m};
 use crate::estimation::problem::{BoardShape, CameraOptions};
 use crate::estimation::uncertainty::{
     Distance, PixelGrid, projection_difference, projection_uncertainty,
@@ -34,26 +33,29 @@ pub struct ModelCheck {
     pub residual_correlation: Option<f64>,
     /// What seems to be wrong where halves or neighboring corners show that something is.
     pub misfit: Misfit,
-    /// How far the board seems bent at its middle along x and y, in meters, where that explains a
-    /// visible part of what is left and was not estimated.
-    pub bow_m: Option<[f64; 2]>,
+    /// How far the board's middle seems to be off the plane of its edges by curvature along x and by
+    /// curvature along y, in meters, where that explains a good part of the residuals and was not
+    /// estimated. It is tested of every set, unlike [`Misfit::peak_to_valley_m`], which is of a board
+    /// of any shape.
+    pub board_bow_m: Option<[f64; 2]>,
     /// Whether the lens model that was asked for is too simple.
     pub lens_misfit: Option<LensMisfit>,
 }
 
-/// The least part of the residuals' squares that a bent board must explain to be named, and the
-/// least of that in units of the noise's variance: chance alone explains 2.
-const BOW_GAIN: [f64; 2] = [0.05, 40.0];
-
-/// Above either of these, causes are tested; clean data stays below.
+/// A split-half ratio above which causes are tested: where the model is right, one set in a hundred
+/// has more.
 const SUSPICIOUS_RATIO: f64 = 2.0;
+
+/// A correlation of neighbors' residuals above which causes are tested: 3.5 standard deviations of
+/// that of [`MIN_PAIRS`] pairs of independent residuals.
 const SUSPICIOUS_CORRELATION: f64 = 0.25;
 
 /// Where another lens raises the squares of a view by less than this part, what second order leaves
 /// out of it is far less.
 const NEARBY: f64 = 0.2;
 
-/// Pairs of neighbors that distinguish a correlation from chance.
+/// Pairs of neighbors, of two coordinates each, that determine a correlation to 0.07 (1 sigma, the
+/// root of 1 over 200).
 const MIN_PAIRS: usize = 100;
 
 impl ModelCheck {
@@ -75,14 +77,18 @@ impl ModelCheck {
         let suspicious = halves.is_suspicious(estimate);
         let views = some_views(fit);
         let size = [estimate.image_size.width, estimate.image_size.height].map(f64::from);
-        let test = suspicious && views.len() >= Self::MIN_VIEWS;
-        let misfit =
-            if test { Misfit::of(fit, &views, (size, options)) } else { Misfit::default() };
-        // A bow leaves smooth residuals: where neighbors differ in sign, none is tested.
+        let enough = views.len() >= Self::MIN_VIEWS;
+        let misfit = if suspicious && enough {
+            Misfit::of(fit, &views, (size, options))
+        } else {
+            Misfit::default()
+        };
+        // A bow leaves smooth residuals: where neighbors differ in sign, it is not tested.
         let smooth = residual_correlation.is_none_or(|correlation| correlation > 0.0);
         let estimated = options.board_shape != BoardShape::Flat;
-        let bow_m = if smooth && !estimated { bow_m(fit) } else { None };
-        Self { bow_m, misfit, ..halves }
+        let board_bow_m =
+            if enough && smooth && !estimated { board_bow_m(fit, &views) } else { None };
+        Self { board_bow_m, misfit, ..halves }
     }
 
     /// Whether residuals, or halves of the views, say that something is not as modeled.
@@ -193,30 +199,6 @@ fn residual_correlation(estimate: &CameraEstimate) -> Option<f64> {
 /// The used views, or enough of them, evenly.
 fn some_views(fit: &CameraFit) -> Vec<usize> {
     fit.some_frame_sets().into_iter().flatten().collect()
-}
-
-/// The bow of the board that one Gauss–Newton step from a flat one finds, if it explains enough.
-fn bow_m(fit: &CameraFit) -> Option<[f64; 2]> {
-    let views = some_views(fit);
-    let points = || views.iter().flat_map(|view| &fit.observations[*view].points);
-    let [only] = fit.layout.sensors.as_slice() else { return None };
-    if fit.layout.warp.is_some()
-        || views.len() < ModelCheck::MIN_VIEWS
-        || points().any(|p| p.z != 0.0)
-    {
-        return None;
-    }
-    let half_extent =
-        [0, 1].map(|axis| points().map(|p| p[axis].abs()).fold(f64::MIN_POSITIVE, f64::max));
-    let (layout, state) =
-        (Layout::new(vec![only.lens.clone()], Some(half_extent)), &fit.robust.minimum.state);
-    let local = linearize_each((&layout, state), &fit.observations, &views)?;
-    let parts = views.iter().enumerate().map(|(k, view)| (*view, k));
-    let equations = assemble(&local, (&layout, state), &fit.observations, (parts, views.len()));
-    let step = equations.solve(0.0)?;
-    let enough = step.predicted_decrease > BOW_GAIN[0] * equations.cost
-        && step.predicted_decrease > BOW_GAIN[1] * fit.noise_square();
-    enough.then(|| [step.global[step.global.len() - 2], step.global[step.global.len() - 1]])
 }
 
 /// The covariance of the lens that one half gives: what its own views determine, as much wider as
