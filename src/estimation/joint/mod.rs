@@ -63,12 +63,20 @@ pub(crate) struct State {
 #[derive(Debug, Clone)]
 pub(crate) struct Layout {
     pub(crate) sensors: Vec<SensorLayout>,
-    /// The offset of the two warp parameters, and the board's half extents in meters along x and y.
-    pub(crate) warp: Option<(usize, [f64; 2])>,
+    /// `None` for a flat board.
+    pub(crate) warp: Option<WarpLayout>,
     /// How many global parameters there are.
     pub(crate) len: usize,
     /// Ends what iterates over it: there are no equations any more once it is requested.
     pub(crate) interrupt: Interrupt,
+}
+
+/// Where the two parameters of the board's warp lie, and over what it reaches.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct WarpLayout {
+    pub(crate) at: usize,
+    /// Half the board's extent along x and y, in meters.
+    pub(crate) half_extent_m: [f64; 2],
 }
 
 /// Where the parameters of one sensor lie.
@@ -81,7 +89,7 @@ pub(crate) struct SensorLayout {
 }
 
 impl Layout {
-    pub(crate) fn new(lenses: Vec<FreeLens>, warp_half_extent: Option<[f64; 2]>) -> Self {
+    pub(crate) fn new(lenses: Vec<FreeLens>, warp_half_extent_m: Option<[f64; 2]>) -> Self {
         let mut len = 0;
         let mut take = |n: usize| {
             let at = len;
@@ -97,7 +105,8 @@ impl Layout {
                 SensorLayout { lens, lens_at, pose_at }
             })
             .collect();
-        let warp = warp_half_extent.map(|extent| (take(2), extent));
+        let warp =
+            warp_half_extent_m.map(|half_extent_m| WarpLayout { at: take(2), half_extent_m });
         Self { sensors, warp, len, interrupt: Interrupt::default() }
     }
 
@@ -109,7 +118,9 @@ impl Layout {
     /// How far a point of the board is moved off its plane per meter of each of the two bows: 1 −
     /// (x/half extent)², 0 at the edges (mrcal's model).
     pub(crate) fn bows(&self, point: &Point3<f64>) -> [f64; 2] {
-        let Some((_, [half_x, half_y])) = self.warp else { return [0.0; 2] };
+        let Some(WarpLayout { half_extent_m: [half_x, half_y], .. }) = self.warp else {
+            return [0.0; 2];
+        };
         [1.0 - (point.x / half_x).powi(2), 1.0 - (point.y / half_y).powi(2)]
     }
 }
@@ -181,7 +192,7 @@ impl State {
                     moved(&self.sensor_from_rig[sensor], &global[pose_at..pose_at + 6]);
             }
         }
-        if let Some((at, _)) = layout.warp {
+        if let Some(WarpLayout { at, .. }) = layout.warp {
             next.warp = [self.warp[0] + global[at], self.warp[1] + global[at + 1]];
         }
         for (pose, step) in next.rig_from_board.iter_mut().zip(frame_sets) {

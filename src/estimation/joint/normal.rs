@@ -117,7 +117,7 @@ impl NormalEquations {
         let residual = local.columns - 1;
         let pose = residual - 6;
         let mut globals: Vec<usize> = (at.lens_at..at.lens_at + at.lens.free.len()).collect();
-        globals.extend(layout.warp.iter().flat_map(|(warp, _)| [*warp, warp + 1]));
+        globals.extend(layout.warp.iter().flat_map(|warp| [warp.at, warp.at + 1]));
         for (i, gi) in globals.iter().enumerate() {
             self.global_gradient[*gi] += local.product(i, residual);
             for (j, gj) in globals.iter().enumerate().skip(i) {
