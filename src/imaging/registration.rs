@@ -423,14 +423,14 @@ mod tests {
             [110.0, 109.0, 63.0, 47.0, 0.1, 0.3, -0.1, 0.001, -0.002, 0.01, 0.35, -0.05, 0.01];
         let rational = Lens::from_parameters(LensModel::Rational, &rational);
         // In pixels: what the formulas and the table of the lens lose in single precision.
-        for (color, pose_jitter) in
+        for (color, tolerance_px) in
             [(color_lens(), 1e-3), (rational.unwrap(), 1e-3), (fisheye.unwrap(), 1e-2)]
         {
             let registration =
                 DepthRegistration::new(&camera, &color, COLOR_SIZE, &color_from_depth());
             let registered = registration.register(&image, None, 0.0001).image;
-            let most = by_definition(&camera, &color, &image, pose_jitter);
-            let least = by_definition(&camera, &color, &image, -pose_jitter);
+            let most = by_definition(&camera, &color, &image, tolerance_px);
+            let least = by_definition(&camera, &color, &image, -tolerance_px);
             let mut alike = 0;
             for (k, reading) in registered.readings().iter().enumerate() {
                 let depth = if *reading > 0 { f64::from(*reading) } else { f64::INFINITY };

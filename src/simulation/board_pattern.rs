@@ -89,11 +89,9 @@ impl BoardPattern {
             }
         }
         let [left, right, top, bottom] = self.edges_in_squares();
-        let pose_jitter = [0.1 * (high[0] - low[0]), 0.1 * (high[1] - low[1])];
-        let [low, high] = [
-            [low[0] - pose_jitter[0], low[1] - pose_jitter[1]],
-            [high[0] + pose_jitter[0], high[1] + pose_jitter[1]],
-        ];
+        let margin = [0.1 * (high[0] - low[0]), 0.1 * (high[1] - low[1])];
+        let [low, high] =
+            [[low[0] - margin[0], low[1] - margin[1]], [high[0] + margin[0], high[1] + margin[1]]];
         if patch.iter().any(|vertex| vertex[0].is_nan()) {
             // All of it points past the plane, or its edge runs through it.
             return patch.iter().all(|vertex| vertex[0].is_nan()).then(Shade::default);

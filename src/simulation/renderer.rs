@@ -137,10 +137,10 @@ impl Renderer {
             }
         }
         // A bent edge bulges between the sampled points, by far less than this.
-        let pose_jitter = 1.0 + 0.02 * (high[0] - low[0]).max(high[1] - low[1]);
+        let margin = 1.0 + 0.02 * (high[0] - low[0]).max(high[1] - low[1]);
         let range = |low: f64, high: f64, end: usize| {
             let clamped = |value: f64| value.clamp(0.0, end as f64) as usize;
-            [clamped(low - pose_jitter), clamped((high + pose_jitter).ceil())]
+            [clamped(low - margin), clamped((high + margin).ceil())]
         };
         Area {
             x: range(low[0], high[0], self.rays.columns),
