@@ -48,6 +48,18 @@ pub struct TriedCorrection {
     pub held_out: f64,
 }
 
+/// What the comparison of corrections came to.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CorrectionChoice {
+    /// The form that is best on held-out views, unfitted; `None` where none is better than no
+    /// correction.
+    pub form: Option<DepthCorrection>,
+    /// How smooth that one is.
+    pub smoothness: Smoothness,
+    /// Everything that was tried.
+    pub tried: Vec<TriedCorrection>,
+}
+
 /// The weak prior of a correction: its own normal equations.
 pub(crate) struct Prior {
     pub(crate) hessian: DMatrix<f64>,
@@ -113,18 +125,19 @@ const FOLDS: usize = 5;
 /// A correction is refused unless it does better than a simpler one by this part.
 const PREFERENCE: f64 = 0.01;
 
-/// Tries corrections on `views` (the tiles of each) and answers the chosen one, unfitted, with
-/// everything that was tried. `quantities` are those that make sense for the device. Once
-/// `interrupt` was requested nothing more is tried, and the answer is none.
+/// Tries corrections on `views` (the tiles of each). `quantities` are those that make sense for the
+/// device. Once `interrupt` was requested nothing more is tried.
 pub fn choose_correction(
     views: &[Vec<JudgedTile>],
     size: ImageSize,
     quantities: &[CorrectedQuantity],
     interrupt: &Interrupt,
-) -> (Option<(DepthCorrection, Smoothness)>, Vec<TriedCorrection>) {
+) -> CorrectionChoice {
     let seen_m = seen(views);
     let mut tried = Vec::new();
-    let Some(first) = quantities.first() else { return (None, tried) };
+    let Some(first) = quantities.first() else {
+        return CorrectionChoice { form: None, smoothness: SMOOTH[0], tried };
+    };
     let none = TriedCorrection {
         quantity: *first,
         terms: 0,
@@ -173,7 +186,11 @@ pub fn choose_correction(
     }
     let grid = SplineGrid { size, cols: best.cells[0], rows: best.cells[1] };
     let chosen = DepthCorrection::none(best.quantity, best.terms, grid, seen_m);
-    ((best.terms > 0).then_some((chosen, best.smoothness)), tried)
+    CorrectionChoice {
+        form: (best.terms > 0).then_some(chosen),
+        smoothness: best.smoothness,
+        tried,
+    }
 }
 
 const COARSE: [u32; 2] = [4, 3];

@@ -2,6 +2,10 @@
 
 use crate::geometry::pose::Pose;
 
+/// The median size of normally distributed numbers about 0, in their standard deviations: the
+/// standard normal quantile of 3/4.
+pub const NORMAL_MEDIAN: f64 = 0.6745;
+
 /// The upper median in the total order of floating-point numbers; `None` of none.
 pub fn median(mut values: Vec<f64>) -> Option<f64> {
     median_of(&mut values)

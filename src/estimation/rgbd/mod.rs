@@ -50,18 +50,19 @@ pub fn calibrate_rgbd(problem: &RgbdProblem) -> Result<RgbdEstimate, EstimationE
     let corners = fit_corners(problem).ok_or_else(|| no_fit(problem))?;
     let by_corners = corners.equations.frame_sets.as_slice();
     let mut planes = Planes::of(problem, &corners.depth_state, by_corners);
-    let (fit, (smoothness, tried)) = fit_correction(problem, &mut planes, &corners.depth_state)?;
+    let FittedCorrection { fit, tried } =
+        fit_correction(problem, &mut planes, &corners.depth_state)?;
     // Where the form of the correction decides, and not the views, the difference is part of what
     // is not known.
     let other = match problem.depth_lens {
         DepthLens::Infrared => None,
         DepthLens::FromPlanes | DepthLens::Known => fit.other_form().and_then(|form| {
             let mut planes = Planes::of(problem, &corners.depth_state, by_corners);
-            planes.fit(&fit.state, form, smoothness)
+            planes.fit(&fit.state, form, fit.smoothness)
         }),
     };
     problem.interrupt.check()?;
-    planes.assemble(&corners, (&fit, other.as_ref()), (smoothness, tried))
+    planes.assemble(&corners, &fit, other.as_ref(), tried)
 }
 
 /// Why there is no fit: nobody waits for one any more, or none was found.
@@ -90,18 +91,22 @@ pub fn recalibrate_depth(
         warp: [0.0; 2],
     };
     let mut planes = Planes::of(problem, &state, &[]);
-    let (fit, tried) = fit_correction(problem, &mut planes, &state)?;
+    let FittedCorrection { fit, tried } = fit_correction(problem, &mut planes, &state)?;
     Ok(RgbdEstimate { color_from_board, ..planes.refitted(estimate, &fit, tried) })
 }
 
-type Tried = (Smoothness, Vec<TriedCorrection>);
-
 /// The planes' fit with the correction that is best on views that were not fitted to.
+struct FittedCorrection {
+    fit: Fit,
+    /// The corrections that were compared in the last round.
+    tried: Vec<TriedCorrection>,
+}
+
 fn fit_correction(
     problem: &RgbdProblem,
     planes: &mut Planes<'_>,
     start: &State,
-) -> Result<(Fit, Tried), EstimationError> {
+) -> Result<FittedCorrection, EstimationError> {
     let size = problem.depth.image_size;
     let quantity = problem.corrected.first().copied().unwrap_or(CorrectedQuantity::InverseDepth);
     // A constant scale and offset first, so that a wrong unit moves neither the depth camera's lens
@@ -110,15 +115,15 @@ fn fit_correction(
     let base = DepthCorrection::none(quantity, terms, SplineGrid::constant(size), planes.seen_m());
     let rounds = if problem.depth_lens == DepthLens::Infrared { 1 } else { 2 };
     let mut fit = planes.fit(start, base, BASE_SMOOTHNESS).ok_or_else(|| no_fit(problem))?;
-    let (mut smoothness, mut tried) = (BASE_SMOOTHNESS, Vec::new());
+    let mut tried = Vec::new();
     for _ in 0..rounds {
         let judged = planes.judged(&fit);
-        let (chosen, all) =
-            choose_correction(&judged, size, &problem.corrected, &problem.interrupt);
+        let choice = choose_correction(&judged, size, &problem.corrected, &problem.interrupt);
         let none = DepthCorrection::none(quantity, 0, SplineGrid::constant(size), planes.seen_m());
-        let (correction, smooth) = chosen.unwrap_or((none, BASE_SMOOTHNESS));
-        fit = planes.fit(&fit.state, correction, smooth).ok_or_else(|| no_fit(problem))?;
-        (smoothness, tried) = (smooth, all);
+        let smoothness = if choice.form.is_some() { choice.smoothness } else { BASE_SMOOTHNESS };
+        let form = choice.form.unwrap_or(none);
+        fit = planes.fit(&fit.state, form, smoothness).ok_or_else(|| no_fit(problem))?;
+        tried = choice.tried;
     }
-    Ok((fit, (smoothness, tried)))
+    Ok(FittedCorrection { fit, tried })
 }

@@ -19,11 +19,13 @@ use crate::estimation::rgbd::problem::{
 use crate::geometry::depth_camera::{DepthCamera, DepthReading, DepthTile};
 use crate::geometry::depth_correction::DepthCorrection;
 use crate::geometry::lens::Lens;
-use crate::geometry::median::median;
+use crate::geometry::median::{NORMAL_MEDIAN, median};
 use crate::geometry::pose::{Pose, pose_step};
 
-/// Residual limit of an inlier tile, in standard deviations of the tiles' scatter.
-const LIMIT: f64 = 6.0;
+/// Residual limit of an inlier tile, in standard deviations of the tiles' scatter, …
+const LIMIT_STDS: f64 = 6.0;
+/// … and in the first round, whose residuals also have what the start is off by.
+const FIRST_LIMIT_STDS: f64 = 12.0;
 
 /// How far a tile's own noise can be believed: readings next to each other err together.
 const LEAST_READING_STDS: f64 = 0.1;
@@ -55,6 +57,7 @@ struct PlaneState {
 pub(super) struct Fit {
     pub(super) state: State,
     pub(super) correction: DepthCorrection,
+    pub(super) smoothness: Smoothness,
     pub(super) equations: NormalEquations,
     pub(super) tile_noise: f64,
     /// By how much the mean of many tiles scatters more than if each erred by itself.
@@ -170,7 +173,8 @@ impl<'a> Planes<'a> {
                 self::linearized(&layout, (&whole, &prior), at, (&planes, anchors))?;
             equations = Some(at_end);
             let before = tile_noise;
-            let changed = self.select(&residuals, if round == 0 { 2.0 } else { 1.0 });
+            let limit_stds = if round == 0 { FIRST_LIMIT_STDS } else { LIMIT_STDS };
+            let changed = self.select_inliers(&residuals, limit_stds);
             tile_noise = (self.scatter(&residuals) * before).max(1e-3);
             together = self.together(&residuals);
             if !changed && (tile_noise / before - 1.0).abs() < 0.02 {
@@ -180,16 +184,18 @@ impl<'a> Planes<'a> {
         Some(Fit {
             state: whole.rig,
             correction: whole.correction,
+            smoothness,
             equations: equations?,
             tile_noise,
             together,
         })
     }
 
-    /// Makes those tiles inliers that lie on the plane; answers whether that changed.
-    fn select(&mut self, residuals: &[Vec<f64>], pose_jitter: f64) -> bool {
+    /// Makes those tiles inliers whose residual is at most `limit_stds` of the scatter of all;
+    /// answers whether that changed any.
+    fn select_inliers(&mut self, residuals: &[Vec<f64>], limit_stds: f64) -> bool {
         let sizes = residuals.iter().flatten().filter(|r| r.is_finite()).map(|r| r.abs()).collect();
-        let limit = pose_jitter * LIMIT * median(sizes).unwrap_or(0.0) / 0.6745;
+        let limit = limit_stds * median(sizes).unwrap_or(0.0) / NORMAL_MEDIAN;
         let mut changed = false;
         for (plane, residuals) in self.planes.iter_mut().zip(residuals) {
             for (used, residual) in plane.used.iter_mut().zip(residuals) {
@@ -276,8 +282,9 @@ impl<'a> Planes<'a> {
     pub(super) fn assemble(
         &self,
         corners: &CornerBlocks,
-        (fit, other): (&Fit, Option<&Fit>),
-        (smoothness, tried): (Smoothness, Vec<TriedCorrection>),
+        fit: &Fit,
+        other: Option<&Fit>,
+        tried: Vec<TriedCorrection>,
     ) -> Result<RgbdEstimate, EstimationError> {
         let lens = fit.state.lenses[1];
         let (depth_covariance, pose_covariance) = match corners.layout.sensors.get(1) {
@@ -319,7 +326,7 @@ impl<'a> Planes<'a> {
             following: self.following(),
             tile_noise: fit.tile_noise,
             judged: self.judged(fit),
-            smoothness,
+            smoothness: fit.smoothness,
             tried,
         })
     }
@@ -329,7 +336,7 @@ impl<'a> Planes<'a> {
         &self,
         estimate: &RgbdEstimate,
         fit: &Fit,
-        (smoothness, tried): (Smoothness, Vec<TriedCorrection>),
+        tried: Vec<TriedCorrection>,
     ) -> RgbdEstimate {
         let correction = (fit.correction.terms > 0).then(|| fit.correction.clone());
         let lens = fit.state.lenses[1];
@@ -340,7 +347,7 @@ impl<'a> Planes<'a> {
             following: self.following(),
             tile_noise: fit.tile_noise,
             judged: self.judged(fit),
-            smoothness,
+            smoothness: fit.smoothness,
             tried,
             ..estimate.clone()
         }
