@@ -171,8 +171,8 @@ impl<'a> Member<'a> {
         let color_from_depth = color_from_target * known.target_from_source;
         let boards = [(SensorKind::Color, color), (SensorKind::Infrared, infrared)]
             .map(|(kind, sensor)| boards(input, &self.id(kind), sensor));
-        let board = |capture: &usize| {
-            let number = self.camera.frame_sets[*capture].number;
+        let board = |frame_set: &usize| {
+            let number = self.camera.frame_sets[*frame_set].number;
             let of = |boards: &[FrameSetPose]| {
                 let own = boards.iter().find(|own| own.frame_set == number)?;
                 Some(own.sensor_from_board)
@@ -183,7 +183,7 @@ impl<'a> Member<'a> {
             color: color.lens,
             depth: infrared.lens,
             color_from_depth,
-            color_from_board: solved.captures.iter().map(board).collect(),
+            color_from_board: solved.frame_set_of_view.iter().map(board).collect(),
         };
         Some((placed, known.clone()))
     }

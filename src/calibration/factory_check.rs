@@ -13,7 +13,7 @@ use crate::estimation::board_pose::board_poses;
 use crate::estimation::depth_error::JudgedTile;
 use crate::estimation::problem::BoardView;
 use crate::estimation::rgbd::{RgbdEstimate, RgbdProblem, RgbdView, calibrate_rgbd};
-use crate::geometry::depth_camera::{DepthCamera, DepthTile};
+use crate::geometry::depth_camera::{DepthCamera, DepthTile, PosedDepthLens};
 use crate::geometry::lens::Lens;
 use crate::geometry::pose::Pose;
 
@@ -41,13 +41,14 @@ pub struct FactoryCheck {
 const SURE: f64 = 2.0;
 
 impl FactoryCheck {
-    /// Compares `estimate` with the factory's lens and `depth_from_color`. `None` where no view
-    /// has both color and depth of the board.
+    /// Compares `estimate` with the factory's lens and pose. `None` where no view has both color
+    /// and depth of the board.
     pub fn of(
         problem: &RgbdProblem,
         estimate: &RgbdEstimate,
-        (lens, depth_from_color): (Lens, Pose),
+        factory: PosedDepthLens,
     ) -> Option<Self> {
+        let PosedDepthLens { lens, depth_from_color } = factory;
         let camera = DepthCamera { lens, correction: None, ..problem.depth.clone() };
         let color_from_depth = depth_from_color.inverse();
         let together = |index: &usize| !estimate.not_together.contains(index);

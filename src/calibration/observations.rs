@@ -1,7 +1,7 @@
 //! What the sensors of an instrument saw: the one input of [`crate::calibration::solve()`], whether
 //! the instrument is a camera, a depth camera, or a rig of either.
 
-use crate::calibration::rgbd_input::{DepthSensor, RgbdCapture, RgbdInput};
+use crate::calibration::rgbd_input::{DepthSensor, RgbdFrameSet, RgbdInput};
 use crate::calibration::rig_input::RigSensorInput;
 use crate::calibration::sensor::SensorId;
 use crate::estimation::problem::{BoardView, CameraProblem, Correspondence};
@@ -162,7 +162,7 @@ impl CameraFrameSets {
 
     /// The joint problem of color, infrared and depth; `None` without depth.
     pub(super) fn with_depth(&self, board: Target) -> Option<RgbdInput> {
-        let capture = |seen: &ObservedFrameSet| RgbdCapture {
+        let frame_set = |seen: &ObservedFrameSet| RgbdFrameSet {
             name: seen.name.clone(),
             time_s: seen.time_s,
             is_view: seen.is_view,
@@ -174,7 +174,7 @@ impl CameraFrameSets {
             board,
             color_size: self.image_size(SensorKind::Color)?,
             depth: self.depth.clone()?,
-            captures: self.frame_sets.iter().map(capture).collect(),
+            frame_sets: self.frame_sets.iter().map(frame_set).collect(),
         })
     }
 }

@@ -7,6 +7,7 @@ use crate::calibration::factory_check::FactoryCheck;
 use crate::calibration::result::{
     CalibratedSensor, Calibration, Extrinsics, Grade, ImageCalibration, Verdict, pose_std,
 };
+use crate::calibration::rgbd_guess::ViewWithoutDepth;
 use crate::calibration::rgbd_input::RgbdInput;
 use crate::calibration::sensor::SensorId;
 use crate::calibration::solve::{SolvedCamera, uncertainty_over};
@@ -70,7 +71,8 @@ pub(super) fn judged_with_depth(
     (of_depth, depth): (&RgbdEstimate, &DepthCalibration),
 ) -> Verdict {
     let joint = &solved.joint;
-    let views_with_depth = input.captures.iter().filter(|capture| capture.depth.is_some()).count();
+    let views_with_depth =
+        input.frame_sets.iter().filter(|frame_set| frame_set.depth.is_some()).count();
     let lowering = [
         without_color(input),
         without_depth_image(input),
@@ -107,10 +109,11 @@ pub(super) fn color_from_depth(
 
 /// The views without a board in color, where they are many.
 pub fn without_color(input: &RgbdInput) -> Option<String> {
-    let views =
-        || input.captures.iter().filter(|capture| capture.is_view && capture.depth.is_some());
+    let views = || {
+        input.frame_sets.iter().filter(|frame_set| frame_set.is_view && frame_set.depth.is_some())
+    };
     let (all, without) =
-        (views().count(), views().filter(|capture| capture.color.is_empty()).count());
+        (views().count(), views().filter(|frame_set| frame_set.color.is_empty()).count());
     (3 * without > all).then(|| {
         format!("the board was not seen in color in {without} of {all} views with depth: keep it within both images")
     })
@@ -157,9 +160,10 @@ fn bent_for_depth(solved: &SolvedRgbd) -> Option<String> {
 
 /// Views whose depth image is missing.
 fn without_depth_image(input: &RgbdInput) -> Option<String> {
-    let views =
-        || input.captures.iter().filter(|capture| capture.is_view && !capture.color.is_empty());
-    let missing = || views().filter(|capture| capture.depth.is_none());
+    let views = || {
+        input.frame_sets.iter().filter(|frame_set| frame_set.is_view && !frame_set.color.is_empty())
+    };
+    let missing = || views().filter(|frame_set| frame_set.depth.is_none());
     let first = &missing().next()?.name;
     Some(format!(
         "{} of {} views have no depth image, the first `{first}`: check that none is lost, and that names are equal",
@@ -170,7 +174,7 @@ fn without_depth_image(input: &RgbdInput) -> Option<String> {
 
 /// Views whose depth image did not serve, and why the first of them did not.
 fn depth_not_used(solved: &SolvedRgbd, views: usize) -> Option<String> {
-    let (name, reason) = solved.without_depth.first()?;
+    let ViewWithoutDepth { name, reason } = solved.without_depth.first()?;
     let count = solved.without_depth.len();
     Some(format!(
         "the depth image of {count} of {views} views was not used; view `{name}`: {reason}"

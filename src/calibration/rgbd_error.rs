@@ -13,7 +13,7 @@ pub enum RgbdError {
         /// Why not.
         source: EstimationError,
     },
-    /// Too few captures have the board's surface in depth.
+    /// Too few frame sets have the board's surface in depth.
     #[error(
         "only {usable} of {all} views have the board in the depth image, 3 are needed{reasons}: check that depth and color are of the same device and moment"
     )]

@@ -7,7 +7,7 @@ use std::mem::discriminant;
 use nalgebra::{DMatrix, Point3};
 
 use crate::calibration::rgbd_error::RgbdError;
-use crate::calibration::rgbd_input::{RgbdCapture, RgbdInput, poses, views};
+use crate::calibration::rgbd_input::{RgbdFrameSet, RgbdInput, poses, views};
 use crate::calibration::solve::SolvedCamera;
 use crate::detection::board_plane::{NoPlane, PlaneOptions, find_board_plane};
 use crate::detection::plane_growth::grow_plane;
@@ -15,11 +15,11 @@ use crate::estimation::board_pose::board_poses;
 use crate::estimation::board_surface::BoardSurface;
 use crate::estimation::problem::{BoardView, CameraOptions, Correspondence};
 use crate::estimation::rgbd::motion::{
-    BoardMotion, SeenByBoth, TimeOffset, board_motions, time_offset,
+    BoardExtent, BoardMotion, SeenByBoth, TimeOffset, TimedPose, board_motions, time_offset,
 };
 use crate::estimation::rgbd::{DepthLens, RgbdProblem, RgbdView};
 use crate::geometry::camera_matrix::CameraMatrix;
-use crate::geometry::depth_camera::{DepthCamera, DepthReading, DepthTile};
+use crate::geometry::depth_camera::{DepthCamera, DepthReading, DepthTile, PosedDepthLens};
 use crate::geometry::depth_correction::CorrectedQuantity;
 use crate::geometry::lens::Lens;
 use crate::geometry::median::{median, median_pose};
@@ -27,11 +27,22 @@ use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
 
-/// The joint problem, which capture each of its views is, and those whose depth could not be used.
+/// The joint problem.
 pub(super) struct Measured {
     pub(super) problem: RgbdProblem,
-    pub(super) captures: Vec<usize>,
-    pub(super) without_depth: Vec<(String, NoPlane)>,
+    /// Which frame set of the input each view of the problem is.
+    pub(super) frame_set_of_view: Vec<usize>,
+    /// Views whose depth could not be used.
+    pub(super) without_depth: Vec<ViewWithoutDepth>,
+}
+
+/// A view whose depth image does not show the board's surface.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ViewWithoutDepth {
+    /// Its name.
+    pub name: String,
+    /// Why not.
+    pub reason: NoPlane,
 }
 
 impl Measured {
@@ -60,7 +71,7 @@ pub(super) struct Guess {
     size: ImageSize,
     /// The board's, where color measured it.
     surface: Option<BoardSurface>,
-    /// Of every capture that has one.
+    /// Of every frame set that has one.
     color_from_board: Vec<Option<Pose>>,
     infrared_used: Vec<bool>,
     motions: Vec<Option<BoardMotion>>,
@@ -75,19 +86,23 @@ impl Guess {
         infrared: Option<&SolvedCamera>,
     ) -> Self {
         let color_poses = poses(input, color, |c| &c.color);
-        let none = vec![None; input.captures.len()];
+        let none = vec![None; input.frame_sets.len()];
         let infrared_poses = infrared.map_or(none, |solved| poses(input, solved, |c| &c.infrared));
         let factory = input.depth.factory;
-        let (lens, depth_from_color) = match infrared {
+        let PosedDepthLens { lens, depth_from_color } = match infrared {
             Some(solved) => {
                 let both = color_poses.iter().zip(&infrared_poses);
                 let depth_from_color: Vec<Pose> = both
                     .filter_map(|(color, infrared)| Some((*infrared)? * (*color)?.inverse()))
                     .collect();
-                (solved.estimate.lens, median_pose(&depth_from_color).unwrap_or(Pose::identity()))
+                PosedDepthLens {
+                    lens: solved.estimate.lens,
+                    depth_from_color: median_pose(&depth_from_color).unwrap_or(Pose::identity()),
+                }
             }
-            None => factory.unwrap_or_else(|| {
-                (same_view(&color.estimate.lens, input.color_size, size), Pose::identity())
+            None => factory.unwrap_or_else(|| PosedDepthLens {
+                lens: same_view(&color.estimate.lens, input.color_size, size),
+                depth_from_color: Pose::identity(),
             }),
         };
         let color_from_board = color_poses
@@ -129,7 +144,7 @@ impl Guess {
         guess
     }
 
-    /// The board's motion at each capture, and the time between the sensors, by every capture that
+    /// The board's motion at each frame set, and the time between the sensors, by every frame set that
     /// both see the board in.
     fn find_motion(
         &mut self,
@@ -137,46 +152,46 @@ impl Guess {
         color: &[Option<Pose>],
         infrared: &[Option<Pose>],
     ) {
-        let moments: Vec<(usize, (f64, Pose))> = input
-            .captures
+        let (indices, moments): (Vec<usize>, Vec<TimedPose>) = input
+            .frame_sets
             .iter()
             .enumerate()
-            .filter_map(|(index, capture)| {
-                let pose =
-                    color[index].or_else(|| moving_pose(&self.color, capture, &capture.color))?;
-                Some((index, (capture.time_s?, pose)))
+            .filter_map(|(index, frame_set)| {
+                let camera_from_board = color[index]
+                    .or_else(|| moving_pose(&self.color, frame_set, &frame_set.color))?;
+                Some((index, TimedPose { time_s: frame_set.time_s?, camera_from_board }))
             })
-            .collect();
-        let poses: Vec<(f64, Pose)> = moments.iter().map(|(_, moment)| *moment).collect();
-        self.motions = vec![None; input.captures.len()];
-        let (mut both, (middle, radius_m)) = (Vec::new(), middle_of(&input.board));
-        for ((index, (_, first_from_board)), motion) in moments.iter().zip(board_motions(&poses)) {
-            self.motions[*index] = motion;
-            let capture = &input.captures[*index];
+            .unzip();
+        self.motions = vec![None; input.frame_sets.len()];
+        let mut both = Vec::new();
+        let motions = board_motions(&moments);
+        for ((index, moment), motion) in indices.into_iter().zip(&moments).zip(motions) {
+            self.motions[index] = motion;
+            let frame_set = &input.frame_sets[index];
             let second =
-                infrared[*index].or_else(|| moving_pose(&self.lens, capture, &capture.infrared));
+                infrared[index].or_else(|| moving_pose(&self.lens, frame_set, &frame_set.infrared));
             if let (Some(motion), Some(second_from_board), DepthLens::Infrared) =
                 (motion, second, self.depth_lens)
             {
                 both.push(SeenByBoth {
-                    first_from_board: *first_from_board,
+                    first_from_board: moment.camera_from_board,
                     motion,
                     second_from_board,
                 });
             }
         }
-        self.time_offset = time_offset(&self.depth_from_color, &both, (middle.coords, radius_m))
+        self.time_offset = time_offset(&self.depth_from_color, &both, extent_of(&input.board))
             .filter(|offset| offset.std_s < LEAST_SURE_S);
     }
 
     /// What disparity means, from what is read in the board's middle and how far away color says
     /// it is: the line through the pairs by the median of the slopes between them (H. Theil, 1950).
     fn disparity(&self, input: &RgbdInput) -> Option<DepthReading> {
-        let (middle, _) = middle_of(&input.board);
-        let pair = |(capture, pose): (&RgbdCapture, &Option<Pose>)| {
+        let middle = Point3::from(extent_of(&input.board).center_in_board);
+        let pair = |(frame_set, pose): (&RgbdFrameSet, &Option<Pose>)| {
             let point = self.depth_from_color * ((*pose)? * middle);
             let pixel = self.lens.pixel_from_point(&point)?;
-            let image = capture.depth.as_ref().filter(|d| d.only_reading().is_none())?;
+            let image = frame_set.depth.as_ref().filter(|d| d.only_reading().is_none())?;
             let (x, y) = (pixel.x.round(), pixel.y.round());
             let inside = image
                 .size()
@@ -185,7 +200,7 @@ impl Guess {
             (Some(inside) != input.depth.invalid).then(|| (f64::from(inside), 1.0 / point.z))
         };
         let pairs: Vec<(f64, f64)> =
-            input.captures.iter().zip(&self.color_from_board).filter_map(pair).collect();
+            input.frame_sets.iter().zip(&self.color_from_board).filter_map(pair).collect();
         let slopes = pairs.iter().enumerate().flat_map(|(k, a)| {
             pairs[k + 1..]
                 .iter()
@@ -199,17 +214,19 @@ impl Guess {
 
     /// The board's surface in every depth image, up to `margin` squares past its outer corners.
     pub(super) fn measured(&self, input: &RgbdInput, margin: f64) -> Result<Measured, RgbdError> {
-        let (mut views, mut captures, mut without_depth) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut views, mut frame_set_of_view, mut without_depth) =
+            (Vec::new(), Vec::new(), Vec::new());
         let plane_options =
             PlaneOptions { invalid: input.depth.invalid, ..PlaneOptions::default() };
         let mut with_depth = 0;
-        for (index, (capture, pose)) in
-            input.captures.iter().zip(&self.color_from_board).enumerate()
+        for (index, (frame_set, pose)) in
+            input.frame_sets.iter().zip(&self.color_from_board).enumerate()
         {
-            let (Some(color_from_board), true) = (*pose, capture.is_view) else { continue };
-            let seen = capture.depth.as_ref().map(|image| {
-                let place = (&self.lens, &self.depth_from_color);
-                let outline = board_outline(&input.board, place, &color_from_board, margin);
+            let (Some(color_from_board), true) = (*pose, frame_set.is_view) else { continue };
+            let seen = frame_set.depth.as_ref().map(|image| {
+                let depth =
+                    PosedDepthLens { lens: self.lens, depth_from_color: self.depth_from_color };
+                let outline = board_outline(&input.board, &depth, &color_from_board, margin);
                 let meaning = (self.reading, &self.lens);
                 let tiles = find_board_plane(image, meaning, &outline, &plane_options)?;
                 let surround = grow_plane(image, meaning, (&tiles, &outline), &plane_options);
@@ -218,31 +235,31 @@ impl Guess {
             let (tiles, surround) = match seen {
                 Some(Ok(seen)) => seen,
                 Some(Err(reason)) => {
-                    without_depth.push((capture.name.clone(), reason));
+                    without_depth.push(ViewWithoutDepth { name: frame_set.name.clone(), reason });
                     (Vec::new(), Vec::new())
                 }
                 None => (Vec::new(), Vec::new()),
             };
             with_depth += usize::from(!tiles.is_empty());
             let infrared =
-                if self.infrared_used[index] { capture.infrared.clone() } else { Vec::new() };
+                if self.infrared_used[index] { frame_set.infrared.clone() } else { Vec::new() };
             views.push(RgbdView {
-                name: capture.name.clone(),
-                color: capture.color.clone(),
+                name: frame_set.name.clone(),
+                color: frame_set.color.clone(),
                 infrared,
                 tiles,
                 surround,
                 color_from_board,
                 motion: self.motions[index],
             });
-            captures.push(index);
+            frame_set_of_view.push(index);
         }
         if with_depth < 3 {
             let (usable, all) = (with_depth, views.len());
             let reasons = reasons(&without_depth);
             return Err(RgbdError::TooLittleDepth { usable, all, reasons });
         }
-        Ok(Measured { problem: self.problem(views), captures, without_depth })
+        Ok(Measured { problem: self.problem(views), frame_set_of_view, without_depth })
     }
 
     /// The board's `tiles` as they would be on its plane, which is what they are compared with.
@@ -283,26 +300,30 @@ impl Guess {
 
 /// Why views are without depth: each reason with how many have it and the first of them, the
 /// commonest first.
-fn reasons(without_depth: &[(String, NoPlane)]) -> String {
-    let mut each: Vec<(usize, &String, NoPlane)> = Vec::new();
-    for (name, reason) in without_depth {
-        let same = |(_, _, other): &&mut (usize, &String, NoPlane)| {
-            discriminant(other) == discriminant(reason)
+fn reasons(without_depth: &[ViewWithoutDepth]) -> String {
+    // How often each reason was given, with the first view that has it.
+    let mut each: Vec<(usize, &ViewWithoutDepth)> = Vec::new();
+    for view in without_depth {
+        let same = |(_, first): &&mut (usize, &ViewWithoutDepth)| {
+            discriminant(&first.reason) == discriminant(&view.reason)
         };
         match each.iter_mut().find(same) {
-            Some((count, ..)) => *count += 1,
-            None => each.push((1, name, *reason)),
+            Some((count, _)) => *count += 1,
+            None => each.push((1, view)),
         }
     }
-    each.sort_by_key(|(count, ..)| Reverse(*count));
-    each.iter().map(|(count, name, reason)| format!("; {count}, as `{name}`: {reason}")).collect()
+    each.sort_by_key(|(count, _)| Reverse(*count));
+    let line = |(count, ViewWithoutDepth { name, reason }): &(usize, &ViewWithoutDepth)| {
+        format!("; {count}, as `{name}`: {reason}")
+    };
+    each.iter().map(line).collect()
 }
 
-/// The board's edge in the image of a depth camera with this lens at `depth_from_color`, `margin`
-/// squares past its outer inner corners; what the lens does not see is left out.
+/// The board's edge in the image of a depth camera, `margin` squares past its outer inner corners;
+/// what the lens does not see is left out.
 pub(super) fn board_outline(
     board: &Target,
-    (lens, depth_from_color): (&Lens, &Pose),
+    depth: &PosedDepthLens,
     color_from_board: &Pose,
     margin: f64,
 ) -> Vec<Pixel> {
@@ -311,7 +332,7 @@ pub(super) fn board_outline(
     let [left, top] = [near.x - margin_m, near.y - margin_m];
     let [right, bottom] = [far.x + margin_m, far.y + margin_m];
     let corners = [(left, top), (right, top), (right, bottom), (left, bottom)];
-    let depth_from_board = *depth_from_color * *color_from_board;
+    let depth_from_board = depth.depth_from_color * *color_from_board;
     let sides = corners.iter().zip(corners.iter().cycle().skip(1));
     let points = sides.flat_map(|(a, b)| {
         (0..8).map(move |k| {
@@ -319,24 +340,26 @@ pub(super) fn board_outline(
             Point3::new(a.0 + part * (b.0 - a.0), a.1 + part * (b.1 - a.1), 0.0)
         })
     });
-    points.filter_map(|point| lens.pixel_from_point(&(depth_from_board * point))).collect()
+    points.filter_map(|point| depth.lens.pixel_from_point(&(depth_from_board * point))).collect()
 }
 
-/// The middle of the board's corners in the board frame, and how far the outermost are from it, in
-/// meters.
-fn middle_of(board: &Target) -> (Point3<f64>, f64) {
+/// The middle of the board's corners, and how far the outermost are from it.
+fn extent_of(board: &Target) -> BoardExtent {
     let [near, far] = board.extent();
-    (nalgebra::center(&near, &far), (far - near).norm() / 2.0)
+    BoardExtent {
+        center_in_board: nalgebra::center(&near, &far).coords,
+        radius_m: (far - near).norm() / 2.0,
+    }
 }
 
 /// By how much a sensor's corners scatter more than their own deviations say; above 0.
 fn noise(
     input: &RgbdInput,
     solved: &SolvedCamera,
-    seen: impl Fn(&RgbdCapture) -> &Vec<Correspondence>,
+    seen: impl Fn(&RgbdFrameSet) -> &Vec<Correspondence>,
 ) -> f64 {
-    let captures = views(input).map(seen).filter(|corners| !corners.is_empty());
-    let views = captures.zip(&solved.estimate.views).filter(|(_, view)| view.fault.is_none());
+    let frame_sets = views(input).map(seen).filter(|corners| !corners.is_empty());
+    let views = frame_sets.zip(&solved.estimate.views).filter(|(_, view)| view.fault.is_none());
     let corners =
         views.flat_map(|(corners, view)| corners.iter().zip(&view.residuals_px).zip(&view.used));
     let (sum, count) =
@@ -349,12 +372,12 @@ fn noise(
 /// A time that is less sure than this, in seconds, is none.
 const LEAST_SURE_S: f64 = 0.02;
 
-/// Where the board was in a capture that is no view.
-fn moving_pose(lens: &Lens, capture: &RgbdCapture, corners: &[Correspondence]) -> Option<Pose> {
-    if capture.is_view || corners.is_empty() {
+/// Where the board was in a frame set that is no view.
+fn moving_pose(lens: &Lens, frame_set: &RgbdFrameSet, corners: &[Correspondence]) -> Option<Pose> {
+    if frame_set.is_view || corners.is_empty() {
         return None;
     }
-    let view = BoardView { name: capture.name.clone(), correspondences: corners.to_vec() };
+    let view = BoardView { name: frame_set.name.clone(), correspondences: corners.to_vec() };
     board_poses(lens, &view).ok()?.first().map(|pose| pose.camera_from_board)
 }
 
@@ -372,7 +395,7 @@ mod tests {
 
     #[test]
     fn the_commonest_reason_comes_first_with_its_first_view() {
-        let of = |name: &str, reason| (name.to_owned(), reason);
+        let of = |name: &str, reason| ViewWithoutDepth { name: name.to_owned(), reason };
         let [blank, holes] = [NoPlane::Blank { reading: 0 }, NoPlane::Holes { percent: 3 }];
         let without = [of("a", NoPlane::Outside), of("b", blank), of("c", holes), of("d", blank)];
         let line = reasons(&without);

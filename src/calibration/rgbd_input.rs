@@ -2,8 +2,7 @@
 
 use crate::calibration::solve::SolvedCamera;
 use crate::estimation::problem::{BoardView, CameraProblem, Correspondence};
-use crate::geometry::depth_camera::DepthReading;
-use crate::geometry::lens::Lens;
+use crate::geometry::depth_camera::{DepthReading, PosedDepthLens};
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
@@ -17,8 +16,8 @@ pub struct DepthSensor {
     pub reading: Option<DepthReading>,
     /// The reading that means none, besides 0 for metric depth.
     pub invalid: Option<u16>,
-    /// The device's own lens and pose, where it states them.
-    pub factory: Option<(Lens, Pose)>,
+    /// What the device states of its lens and pose.
+    pub factory: Option<PosedDepthLens>,
     /// The infrared image is the depth image's: same size, same lens. Default for every device
     /// that has one.
     pub with_infrared: bool,
@@ -26,7 +25,7 @@ pub struct DepthSensor {
 
 /// What was seen at one instant.
 #[derive(Debug, Clone, PartialEq)]
-pub struct RgbdCapture {
+pub struct RgbdFrameSet {
     /// Its path or sequence number.
     pub name: String,
     /// When the color image was taken, in seconds from an arbitrary origin; `None` where
@@ -53,40 +52,40 @@ pub struct RgbdInput {
     /// What is known of the depth camera.
     pub depth: DepthSensor,
     /// What was seen.
-    pub captures: Vec<RgbdCapture>,
+    pub frame_sets: Vec<RgbdFrameSet>,
 }
 
-/// The captures that are views.
-pub(super) fn views(input: &RgbdInput) -> impl Iterator<Item = &RgbdCapture> {
-    input.captures.iter().filter(|capture| capture.is_view)
+/// The frame sets that are views.
+pub(super) fn views(input: &RgbdInput) -> impl Iterator<Item = &RgbdFrameSet> {
+    input.frame_sets.iter().filter(|frame_set| frame_set.is_view)
 }
 
 /// The problem of one sensor by itself, whose corners `seen` gives.
 pub(super) fn problem(
     input: &RgbdInput,
     image_size: ImageSize,
-    seen: impl Fn(&RgbdCapture) -> &Vec<Correspondence>,
+    seen: impl Fn(&RgbdFrameSet) -> &Vec<Correspondence>,
 ) -> CameraProblem {
-    let with_board = views(input).filter(|capture| !seen(capture).is_empty());
+    let with_board = views(input).filter(|frame_set| !seen(frame_set).is_empty());
     let views = with_board
         .map(|c| BoardView { name: c.name.clone(), correspondences: seen(c).clone() })
         .collect();
     CameraProblem { image_size, views }
 }
 
-/// The pose of every capture that a sensor's solve used.
+/// The pose of every frame set that a sensor's solve used.
 pub(super) fn poses(
     input: &RgbdInput,
     solved: &SolvedCamera,
-    seen: impl Fn(&RgbdCapture) -> &Vec<Correspondence>,
+    seen: impl Fn(&RgbdFrameSet) -> &Vec<Correspondence>,
 ) -> Vec<Option<Pose>> {
     let mut views = solved.estimate.views.iter();
-    let of_capture = |capture: &RgbdCapture| {
-        if seen(capture).is_empty() || !capture.is_view {
+    let of_capture = |frame_set: &RgbdFrameSet| {
+        if seen(frame_set).is_empty() || !frame_set.is_view {
             return None;
         }
         let view = views.next()?;
         view.camera_from_board.filter(|_| view.fault.is_none())
     };
-    input.captures.iter().map(of_capture).collect()
+    input.frame_sets.iter().map(of_capture).collect()
 }

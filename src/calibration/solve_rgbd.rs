@@ -4,10 +4,10 @@
 use crate::calibration::factory_check::FactoryCheck;
 use crate::calibration::rgbd_check::check_joint;
 pub use crate::calibration::rgbd_error::RgbdError;
+pub use crate::calibration::rgbd_guess::ViewWithoutDepth;
 use crate::calibration::rgbd_guess::{Guess, Measured};
 use crate::calibration::rgbd_input::{RgbdInput, poses, problem, views};
 use crate::calibration::solve::{SolvedCamera, solve_views};
-use crate::detection::board_plane::NoPlane;
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::consistent_labels::{FrameSetPose, consistent_labels};
 use crate::estimation::error::EstimationError;
@@ -31,31 +31,31 @@ pub struct SolvedRgbd {
     pub joint: RgbdEstimate,
     /// The comparison with the factory's statement of depth, where there is one and views with both.
     pub factory: Option<FactoryCheck>,
-    /// Which capture each view of the joint estimate is.
-    pub captures: Vec<usize>,
+    /// Which frame set each view of the joint estimate is.
+    pub frame_set_of_view: Vec<usize>,
     /// The corners in infrared of each view of the joint estimate, labeled as in color, where the
     /// board is stated to have them.
     pub stated_infrared: Vec<Vec<Correspondence>>,
-    /// Captures whose depth could not be used, and why.
-    pub without_depth: Vec<(String, NoPlane)>,
+    /// Views whose depth could not be used.
+    pub without_depth: Vec<ViewWithoutDepth>,
 }
 
 impl SolvedRgbd {
     /// The board in the infrared images that were taken together with color's, numbered as the
-    /// captures: its corners named as in color, and where they were when color was taken.
+    /// frame sets: its corners named as in color, and where they were when color was taken.
     pub fn infrared_with_color(&self) -> Vec<FrameSetView> {
         let joint = &self.joint;
-        let together = self.problem.views.iter().zip(&self.captures).enumerate().filter(
+        let together = self.problem.views.iter().zip(&self.frame_set_of_view).enumerate().filter(
             |(index, (view, _))| !view.infrared.is_empty() && !joint.not_together.contains(index),
         );
-        let as_in_color = |(index, (view, capture)): (usize, (&RgbdView, &usize))| {
+        let as_in_color = |(index, (view, frame_set)): (usize, (&RgbdView, &usize))| {
             let board_from_moved_on = joint.board_from_moved_on(view, index);
             let mut correspondences = self.stated_infrared[index].clone();
             correspondences.iter_mut().for_each(|corner| {
                 corner.point_in_board = board_from_moved_on * corner.point_in_board;
             });
             let view = BoardView { name: view.name.clone(), correspondences };
-            FrameSetView { frame_set: *capture, view }
+            FrameSetView { frame_set: *frame_set, view }
         };
         together.map(as_in_color).collect()
     }
@@ -76,10 +76,10 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
     let options = &CameraOptions { shutter: Shutter::Global, ..options.clone() };
     let color = solve_views(&problem(input, input.color_size, |c| &c.color), options)
         .map_err(of_sensor("color"))?;
-    let depth_size = input.captures.iter().find_map(|c| c.depth.as_ref()).map(DepthImage::size);
+    let depth_size = input.frame_sets.iter().find_map(|c| c.depth.as_ref()).map(DepthImage::size);
     let depth_size = depth_size.ok_or(RgbdError::TooLittleDepth {
         usable: 0,
-        all: input.captures.len(),
+        all: input.frame_sets.len(),
         reasons: String::new(),
     })?;
     let infrared_alone = |input: &RgbdInput| {
@@ -89,7 +89,7 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
             .map_err(of_sensor("infrared"))
     };
     let measured_board = color.sensor.board_shape.as_ref();
-    let infrared_seen = views(input).filter(|capture| !capture.infrared.is_empty()).count();
+    let infrared_seen = views(input).filter(|frame_set| !frame_set.infrared.is_empty()).count();
     let labeled = if !input.depth.with_infrared || infrared_seen < 3 {
         None
     } else if input.board.symmetries().len() > 1 {
@@ -124,11 +124,11 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
     }
     let (joint, measured) = solved.ok_or(RgbdError::Joint(EstimationError::NoFit))?;
     check_joint(&joint, measured.problem.depth_lens)?;
-    let Measured { problem, captures, without_depth } = measured;
+    let Measured { problem, frame_set_of_view, without_depth } = measured;
     let factory =
         input.depth.factory.and_then(|factory| FactoryCheck::of(&problem, &joint, factory));
     let stated_infrared =
-        captures.iter().map(|capture| labeled.captures[*capture].infrared.clone());
+        frame_set_of_view.iter().map(|frame_set| labeled.frame_sets[*frame_set].infrared.clone());
     let stated_infrared = stated_infrared.collect();
     Ok(SolvedRgbd {
         color,
@@ -136,7 +136,7 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
         problem,
         joint,
         factory,
-        captures,
+        frame_set_of_view,
         stated_infrared,
         without_depth,
     })
@@ -145,8 +145,8 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
 /// The same with each corner where `board` was measured to have it.
 fn placed_on(input: &RgbdInput, board: &MeasuredBoard) -> RgbdInput {
     let mut placed = input.clone();
-    for capture in &mut placed.captures {
-        for corner in capture.color.iter_mut().chain(&mut capture.infrared) {
+    for frame_set in &mut placed.frame_sets {
+        for corner in frame_set.color.iter_mut().chain(&mut frame_set.infrared) {
             *corner = corner.placed_on(board);
         }
     }
@@ -173,14 +173,14 @@ fn labeled_as_in_color(
     let mut labeled = input.clone();
     // Between views the board's motion is followed by labels that nothing has made consistent.
     labeled
-        .captures
+        .frame_sets
         .iter_mut()
-        .filter(|capture| !capture.is_view)
-        .for_each(|capture| capture.infrared.clear());
+        .filter(|frame_set| !frame_set.is_view)
+        .for_each(|frame_set| frame_set.infrared.clear());
     // Color comes first, and keeps its labels.
     for (seen, symmetry) in sensors[1].iter().zip(&chosen[1]) {
         let board_from_labels = symmetries[*symmetry].inverse();
-        let corners = &mut labeled.captures[seen.frame_set].infrared;
+        let corners = &mut labeled.frame_sets[seen.frame_set].infrared;
         corners
             .iter_mut()
             .for_each(|corner| corner.point_in_board = board_from_labels * corner.point_in_board);

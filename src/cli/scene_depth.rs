@@ -51,9 +51,7 @@ fn stated_by(source: &str) -> Result<Option<FactoryCalibration>, String> {
 fn depth_sensor(factory: &FactoryCalibration, size: ImageSize) -> DepthSensor {
     let DepthEncoding { reading, invalid } =
         factory.depth_encoding.unwrap_or(DepthEncoding::ORDINARY);
-    let stated = factory.sensor(SensorKind::Depth).filter(|stated| stated.image_size == size);
-    let factory =
-        stated.and_then(|stated| Some((stated.lens?, stated.color_from_sensor?.inverse())));
+    let factory = factory.sensor(SensorKind::Depth).and_then(|stated| stated.depth_lens(size));
     DepthSensor { reading, invalid, factory, with_infrared: false }
 }
 
@@ -63,6 +61,7 @@ mod tests {
 
     use super::*;
     use crate::geometry::camera_matrix::CameraMatrix;
+    use crate::geometry::depth_camera::PosedDepthLens;
     use crate::geometry::lens::Lens;
     use crate::geometry::pose::Pose;
     use crate::imaging::frame::{Frame, FrameSet, PixelFormat};
@@ -100,7 +99,7 @@ mod tests {
         writer.finish().unwrap();
         let sources = [path.display().to_string()];
         let stated = stated_depth(&sources, SIZE).unwrap();
-        let (stated_lens, depth_from_color) = stated.factory.unwrap();
+        let PosedDepthLens { lens: stated_lens, depth_from_color } = stated.factory.unwrap();
         assert_eq!(stated_lens.matrix, lens().matrix);
         assert_eq!(depth_from_color, color_from_depth().inverse());
         assert_eq!(stated.reading, DepthEncoding::ORDINARY.reading);
@@ -133,7 +132,8 @@ mod tests {
         );
         std::fs::write(folders[1].path().join("sensors.toml"), text).unwrap();
         let stated = stated_depth(&[source(1)], ImageSize::new(1, 1)).unwrap();
-        assert_eq!(stated.factory, Some((lens(), color_from_depth().inverse())));
+        let depth_from_color = color_from_depth().inverse();
+        assert_eq!(stated.factory, Some(PosedDepthLens { lens: lens(), depth_from_color }));
         let different = stated_depth(&[source(0), source(2)], SIZE).unwrap_err();
         assert!(different.contains("different depth cameras"), "{different}");
         std::fs::remove_file(folders[0].path().join("sensors.toml")).unwrap();

@@ -14,7 +14,7 @@ use crate::cli::search::{SearchedImage, searcher};
 use crate::cli::search_args::SearchArgs;
 use crate::cli::sources::FrameSets;
 use crate::estimation::board_pose::board_poses;
-use crate::estimation::rgbd::motion::{MovingBoard, boards_after};
+use crate::estimation::rgbd::motion::{MovingBoard, TimedPose, boards_after};
 use crate::geometry::depth_camera::{DepthCamera, DepthReading};
 use crate::geometry::lens::Lens;
 use crate::geometry::pose::Pose;
@@ -202,10 +202,10 @@ impl Boards<'_> {
             let Ok(searched) = detect(Ok(frames)) else { continue };
             let view = self.views.get(&searched.frame.display_name()).copied();
             let time_s = searched.frame.time_ns() as f64 * 1e-9;
-            let Some(color_from_board) = view.or_else(|| self.between_views(searched)) else {
+            let Some(camera_from_board) = view.or_else(|| self.between_views(searched)) else {
                 continue;
             };
-            moments.push((time_s, color_from_board));
+            moments.push(TimedPose { time_s, camera_from_board });
             let image = match of_depth.filter(|_| view.is_some()) {
                 Some(frame) => Some(
                     DepthImage::from_frame(&frame)

@@ -11,6 +11,7 @@ use crate::document::depth_encoding::DepthEncodingDocument;
 use crate::document::error::DocumentError;
 use crate::document::lens::LensDocument;
 use crate::document::pose::{PoseDocument, RotationDocument};
+use crate::geometry::depth_camera::PosedDepthLens;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
@@ -166,17 +167,17 @@ impl SensorsFile {
         pose.transpose().map_err(|error| error.inside("extrinsics"))
     }
 
-    /// The factory's lens of the depth sensor and `depth_from_color`, where both are stated.
+    /// The factory's lens and pose of the depth sensor, where both are stated.
     ///
     /// # Errors
     /// [`DocumentError::Field`] for a lens or pose that cannot be.
-    pub fn depth_factory(&self) -> Result<Option<(Lens, Pose)>, DocumentError> {
+    pub fn depth_factory(&self) -> Result<Option<PosedDepthLens>, DocumentError> {
         let color_from_depth = self.color_from(SensorKind::Depth)?;
         let Some((lens, color_from_depth)) = self.depth.lens.as_ref().zip(color_from_depth) else {
             return Ok(None);
         };
         let lens = Lens::try_from(lens).map_err(|error| error.inside("depth.lens"))?;
-        Ok(Some((lens, color_from_depth.inverse())))
+        Ok(Some(PosedDepthLens { lens, depth_from_color: color_from_depth.inverse() }))
     }
 }
 
@@ -219,7 +220,7 @@ mod tests {
              [[extrinsics]]\nname = \"color_from_depth\"\nrotation = { w = 1.0, x = 0.0, y = 0.0, z = 0.0 }\ntranslation = [0.025, 0.0, 0.0]",
         )
         .unwrap();
-        let (lens, depth_from_color) = metric.depth_factory().unwrap().unwrap();
+        let PosedDepthLens { lens, depth_from_color } = metric.depth_factory().unwrap().unwrap();
         assert_eq!((lens.matrix.fx, depth_from_color.translation().x), (580.0, -0.025));
         assert_eq!(metric.unused_lenses(), [""; 0]);
         let size = ImageSize::new(640, 480);

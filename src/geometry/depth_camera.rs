@@ -6,6 +6,7 @@ use nalgebra::Point3;
 use crate::geometry::depth_correction::DepthCorrection;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::{ImageSize, Pixel};
+use crate::geometry::pose::Pose;
 
 /// What the numbers of a depth image mean, as the device gives them. Depth is along the optical
 /// axis (z), not along the ray.
@@ -52,6 +53,15 @@ impl DepthReading {
             Self::Disparity { slope, .. } => slope.abs(),
         }
     }
+}
+
+/// A depth camera's lens, and where the camera is beside color.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PosedDepthLens {
+    /// The lens, for images of the depth camera's own size.
+    pub lens: Lens,
+    /// From the color camera's frame to the depth camera's.
+    pub depth_from_color: Pose,
 }
 
 /// A depth camera with its lens and the correction of its systematic error.

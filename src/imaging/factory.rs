@@ -1,6 +1,7 @@
 //! What a device states about its own sensors, as it left the factory: kept as stated, beside what
 //! Plumb finds.
 
+use crate::geometry::depth_camera::PosedDepthLens;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
@@ -47,10 +48,11 @@ pub struct FactorySensor {
 }
 
 impl FactorySensor {
-    /// Its lens, and where color is seen from it, where both are stated for images of this size.
-    pub fn lens_and_pose(&self, size: ImageSize) -> Option<(Lens, Pose)> {
-        let sensor_from_color = self.color_from_sensor?.inverse();
-        (self.image_size == size).then_some((self.lens?, sensor_from_color))
+    /// Its lens and pose as those of a depth sensor, where both are stated for images of this size.
+    pub fn depth_lens(&self, size: ImageSize) -> Option<PosedDepthLens> {
+        let depth_from_color = self.color_from_sensor?.inverse();
+        let lens = self.lens.filter(|_| self.image_size == size)?;
+        Some(PosedDepthLens { lens, depth_from_color })
     }
 }
 

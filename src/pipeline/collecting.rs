@@ -92,7 +92,7 @@ impl SessionThread {
         Some(DepthFrame {
             image: Arc::new(DepthImage::from_frame(&frame).ok()?),
             encoding: depth.depth_encoding.unwrap_or(DepthEncoding::ORDINARY),
-            factory: factory.sensor(SensorKind::Depth).and_then(|it| it.lens_and_pose(size)),
+            factory: factory.sensor(SensorKind::Depth).and_then(|it| it.depth_lens(size)),
             infrared: together().find(sees).and_then(|view| view.detection.clone()),
         })
     }

@@ -87,7 +87,7 @@ fn depth_sensor(
     DepthSensor {
         reading: encoding.reading,
         invalid: encoding.invalid,
-        factory: stated.and_then(|stated| stated.lens_and_pose(size)),
+        factory: stated.and_then(|stated| stated.depth_lens(size)),
         with_infrared,
     }
 }

@@ -86,7 +86,7 @@ impl SeenFrame {
         Some(DepthFrame {
             image: depth.depth.clone()?,
             encoding: depth.depth_encoding.unwrap_or(DepthEncoding::ORDINARY),
-            factory: stated.and_then(|stated| stated.lens_and_pose(depth.image_size)),
+            factory: stated.and_then(|stated| stated.depth_lens(depth.image_size)),
             infrared: infrared.and_then(|of| of.detection.clone()),
         })
     }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use plumb::calibration::admission::AdmissionOptions;
-use plumb::calibration::rgbd_input::RgbdCapture;
+use plumb::calibration::rgbd_input::RgbdFrameSet;
 use plumb::calibration::running_estimate::estimate_so_far;
 use plumb::calibration::session::{Action, CameraFrame, DepthFrame, KeptView, Session};
 use plumb::calibration::session_record::{Finish, SessionRecord, SessionRequest, SessionState};
@@ -46,7 +46,7 @@ struct Shown {
     rng: ChaCha8Rng,
     /// Depth is given to the session; otherwise it is only kept for the solve.
     depth_counts: bool,
-    kept: Vec<RgbdCapture>,
+    kept: Vec<RgbdFrameSet>,
     seconds: i64,
     solves: bool,
     /// How long each frame took without its estimate.
@@ -87,7 +87,7 @@ impl Shown {
     /// Shows a board, measured by depth or not; whether it was kept.
     fn show(&mut self, pose: &Pose, with_depth: bool) -> bool {
         self.seconds += 1;
-        let mut capture = self.rig.input(&[*pose], &mut self.rng).captures.remove(0);
+        let mut capture = self.rig.input(&[*pose], &mut self.rng).frame_sets.remove(0);
         if !with_depth {
             capture.depth = None;
             capture.infrared.clear();
@@ -157,7 +157,7 @@ impl Shown {
 
     fn errors_px(&mut self) -> Vec<f64> {
         let mut input = self.rig.input(&[], &mut self.rng);
-        input.captures.clone_from(&self.kept);
+        input.frame_sets.clone_from(&self.kept);
         let solved = match solve_rgbd(&input, &SeededRgbd::options()) {
             Ok(solved) => solved.joint,
             Err(error) => {
@@ -213,7 +213,7 @@ impl Shown {
         Session::resume_with_depth(record, &[], (&views, depth), &options).0
     }
 
-    fn depth_frame(&self, capture: &RgbdCapture) -> Option<DepthFrame> {
+    fn depth_frame(&self, capture: &RgbdFrameSet) -> Option<DepthFrame> {
         let infrared = (!capture.infrared.is_empty()).then(|| self.detection(&capture.infrared));
         Some(DepthFrame {
             image: Arc::new(capture.depth.clone()?),

@@ -10,7 +10,9 @@ use plumb::calibration::information::projection_goal::GoalFigure;
 use plumb::calibration::information::view_information::{ViewNormal, WeightedCorner};
 use plumb::estimation::board_pose::board_poses;
 use plumb::estimation::problem::{BoardView, Correspondence};
-use plumb::estimation::rgbd::plane_information::{PlacedDepth, PlaneNormal, depth_pose_step};
+use plumb::estimation::rgbd::plane_information::{
+    PlacedDepth, PlaneNormal, TileSample, depth_pose_step,
+};
 use plumb::estimation::rgbd::{RgbdEstimate, RgbdView, calibrate_rgbd};
 use plumb::geometry::depth_camera::DepthReading;
 use plumb::geometry::lens::Lens;
@@ -47,7 +49,8 @@ fn predicted(rig: &SeededRgbd, views: &[RgbdView]) -> (DepthInformation, PlacedD
             ViewNormal::of(&rig.color.lens, &view.color_from_board, &weighted(&view.color));
         known.color += normal.lens_information(&known.free).unwrap();
         let centered = Pose::new(view.color_from_board.rotation(), normal.middle_in_camera);
-        let planes = PlaneNormal::of(&depth, &centered, (&view.tiles, 1.0)).unwrap();
+        let all = TileSample { tiles: view.tiles.clone(), each: 1.0 };
+        let planes = PlaneNormal::of(&depth, &centered, &all, 1.0).unwrap();
         let taught = if rig.with_infrared {
             let infrared_from_board = rig.depth_from_color * view.color_from_board;
             let corners = weighted(&view.infrared);
@@ -213,7 +216,8 @@ fn depth_moves_with_color_s_lens_as_its_information_says() {
         let color_from_board = board_poses(&moved, &seen).unwrap()[0].camera_from_board;
         let color = ViewNormal::of(&moved, &color_from_board, &weighted(&view.color));
         let centered = Pose::new(color_from_board.rotation(), color.middle_in_camera);
-        let planes = PlaneNormal::of(&depth, &centered, (&view.tiles, 1.0)).unwrap();
+        let all = TileSample { tiles: view.tiles.clone(), each: 1.0 };
+        let planes = PlaneNormal::of(&depth, &centered, &all, 1.0).unwrap();
         let inverse = (color.by_pose + planes.by_pose).try_inverse().unwrap();
         let through = &planes.coupling * inverse;
         normal += &planes.by_depth - &through * planes.coupling.transpose();

@@ -11,6 +11,7 @@ use plumb::estimation::error::EstimationError;
 use plumb::estimation::interrupt::Interrupt;
 use plumb::estimation::rgbd::{RgbdProblem, calibrate_rgbd};
 use plumb::geometry::board::{BoardSize, Chessboard};
+use plumb::geometry::depth_camera::PosedDepthLens;
 use plumb::geometry::lens::Lens;
 use plumb::geometry::pixel::Pixel;
 use plumb::geometry::pose::Pose;
@@ -79,7 +80,7 @@ fn predicted_and_observed_scatter_agree_by_planes_alone() {
 fn against_factory(rig: &SeededRgbd, depth_from_color: Pose) -> FactoryCheck {
     let poses = rig.poses(12, &mut SeededCamera::rng(5));
     let mut input = rig.input(&poses, &mut SeededCamera::rng(6));
-    input.depth.factory = Some((rig.depth.lens, depth_from_color));
+    input.depth.factory = Some(PosedDepthLens { lens: rig.depth.lens, depth_from_color });
     let check = solve_rgbd(&input, &SeededRgbd::options()).unwrap().factory.unwrap();
     println!("{}", check.line());
     check
@@ -119,7 +120,7 @@ fn a_square_board_is_labeled_alike_by_both_sensors() {
     let poses = rig.poses(10, &mut SeededCamera::rng(8));
     let mut input = rig.input(&poses, &mut SeededCamera::rng(9));
     let middle = Point3::new(0.09, 0.09, 0.0);
-    for (index, capture) in input.captures.iter_mut().enumerate() {
+    for (index, capture) in input.frame_sets.iter_mut().enumerate() {
         let rotation =
             Rotation3::from_axis_angle(&Vector3::z_axis(), FRAC_PI_2 * ((index * 7) % 4) as f64);
         for corner in &mut capture.infrared {

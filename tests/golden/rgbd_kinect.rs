@@ -8,7 +8,7 @@ use std::process::{Command, Output};
 
 use nalgebra::Vector3;
 use plumb::calibration::result::{Calibration, Grade};
-use plumb::calibration::rgbd_input::{DepthSensor, RgbdCapture, RgbdInput};
+use plumb::calibration::rgbd_input::{DepthSensor, RgbdFrameSet, RgbdInput};
 use plumb::calibration::sensor::SensorId;
 use plumb::calibration::solve_rgbd::solve_rgbd;
 use plumb::calibration::view::{FrameFacts, View};
@@ -183,7 +183,7 @@ type SolvedColor<'a> = (&'a Lens, Option<&'a MeasuredBoard>);
 
 /// The plane of the board as color sees it: a unit normal and its distance, in the color camera's
 /// frame.
-fn plane((lens, board): SolvedColor<'_>, capture: &RgbdCapture) -> (Vector3<f64>, f64) {
+fn plane((lens, board): SolvedColor<'_>, capture: &RgbdFrameSet) -> (Vector3<f64>, f64) {
     let placed = |corner: &Correspondence| board.map_or(*corner, |board| corner.placed_on(board));
     let correspondences = capture.color.iter().map(placed).collect();
     let view = BoardView { name: "held out".to_owned(), correspondences };
@@ -204,7 +204,7 @@ fn inside(polygon: &[Pixel], pixel: Pixel) -> bool {
 /// Distances from the plane of every reading on it, in mm.
 fn off(
     (color, camera, pose): (SolvedColor<'_>, &DepthCamera, &Pose),
-    capture: &RgbdCapture,
+    capture: &RgbdFrameSet,
     view: &Value,
 ) -> Vec<f64> {
     let (normal, distance) = plane(color, capture);
@@ -228,7 +228,7 @@ fn off(
 /// Mean and root mean square distance of a view's readings from color's plane, in mm.
 fn mean_and_rms(
     camera: (SolvedColor<'_>, &DepthCamera, &Pose),
-    captures: &[(usize, RgbdCapture)],
+    captures: &[(usize, RgbdFrameSet)],
     views: &[Value],
     number: usize,
 ) -> [f64; 2] {
@@ -338,7 +338,7 @@ fn the_document_reprojects_as_it_says() {
 }
 
 /// Everything that was taken with color and depth, by view.
-fn captures(data: &Path, board: &Chessboard) -> Vec<(usize, RgbdCapture)> {
+fn captures(data: &Path, board: &Chessboard) -> Vec<(usize, RgbdFrameSet)> {
     let (mut detector, mut image) = (Detector::new(board.size), GrayImage::default());
     let mut numbers: Vec<usize> =
         RANGES.iter().flat_map(|(_, views)| views.iter().map(|view| view.view)).collect();
@@ -357,7 +357,7 @@ fn captures(data: &Path, board: &Chessboard) -> Vec<(usize, RgbdCapture)> {
         };
         let depth =
             DepthImage::from_frame(&frame_from_file(SensorKind::Depth, bytes("d.pgm"))).unwrap();
-        let capture = RgbdCapture {
+        let capture = RgbdFrameSet {
             name: number.to_string(),
             time_s: None,
             is_view: true,
@@ -385,9 +385,9 @@ fn planes_of_each_view_lie_closer_by_all_others_than_by_the_published_calibratio
         let others = all.iter().filter(|(number, _)| *number != left_out);
         let depth =
             DepthSensor { reading: None, invalid: Some(2047), factory: None, with_infrared: true };
-        let captures = others.map(|(_, capture)| capture.clone()).collect();
+        let frame_sets = others.map(|(_, frame_set)| frame_set.clone()).collect();
         let solved = solve_rgbd(
-            &RgbdInput { board: board.into(), color_size, depth, captures },
+            &RgbdInput { board: board.into(), color_size, depth, frame_sets },
             &SeededRgbd::options(),
         )
         .unwrap();

@@ -19,7 +19,7 @@ fn input(rig: &SeededRgbd) -> RgbdInput {
 
 /// Every depth image changed.
 fn with_depth(mut input: RgbdInput, change: impl Fn(usize, &DepthImage) -> Vec<u16>) -> RgbdInput {
-    for (index, capture) in input.captures.iter_mut().enumerate() {
+    for (index, capture) in input.frame_sets.iter_mut().enumerate() {
         capture.depth = capture
             .depth
             .take()
@@ -42,7 +42,7 @@ fn reasons(input: &RgbdInput) -> Vec<String> {
         Err(error) => vec![error.to_string()],
         Ok(solved) => {
             let depth = DepthCalibration::of(&solved.joint, None);
-            let views = input.captures.iter().filter(|capture| capture.depth.is_some()).count();
+            let views = input.frame_sets.iter().filter(|capture| capture.depth.is_some()).count();
             let verdict = [Some(&solved.color), solved.infrared.as_ref()].into_iter().flatten();
             let own = verdict.flat_map(|camera| camera.verdict.reasons.clone()).collect::<Vec<_>>();
             let judged = judge_depth(
@@ -90,8 +90,8 @@ fn each_wrong_thing_is_one_clear_line() {
         unit.depth.reading = Some(DepthReading::Metric { unit_m: 0.001 });
         expect(&format!("{name}: another unit"), &unit, "check the unit of depth");
         let mut shuffled = right.clone();
-        let depths: Vec<_> = right.captures.iter().map(|capture| capture.depth.clone()).collect();
-        for (index, capture) in shuffled.captures.iter_mut().enumerate() {
+        let depths: Vec<_> = right.frame_sets.iter().map(|capture| capture.depth.clone()).collect();
+        for (index, capture) in shuffled.frame_sets.iter_mut().enumerate() {
             capture.depth = depths[(index + 5) % depths.len()].clone();
         }
         expect(&format!("{name}: depth of other moments"), &shuffled, "check that depth and color");
@@ -103,7 +103,7 @@ fn a_board_that_is_not_flat_is_reported() {
     let rig = SeededRgbd::new();
     let mut input = input(&rig);
     let poses = rig.poses(11, &mut SeededCamera::rng(3));
-    for (capture, pose) in input.captures.iter_mut().zip(&poses) {
+    for (capture, pose) in input.frame_sets.iter_mut().zip(&poses) {
         // Bent by 6 mm in the middle of its rows.
         let bent = |camera: &SeededCamera, camera_from_board: Pose, corners: &mut Vec<_>| {
             for corner in corners.iter_mut() {
@@ -123,8 +123,8 @@ fn a_board_that_is_not_flat_is_reported() {
 #[test]
 fn depth_without_color_in_half_the_views_is_reported() {
     let mut input = input(&SeededRgbd::new());
-    let all = input.captures.len();
-    for capture in input.captures.iter_mut().skip(1).step_by(2) {
+    let all = input.frame_sets.len();
+    for capture in input.frame_sets.iter_mut().skip(1).step_by(2) {
         capture.color.clear();
     }
     assert!(solve_rgbd(&input, &SeededRgbd::options()).is_ok(), "{:?}", reasons(&input));

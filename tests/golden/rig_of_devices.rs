@@ -18,7 +18,7 @@ const VIEWS: usize = 12;
 
 /// A camera's sensors as they saw the board.
 fn camera(name: &str, device: &SeededRgbd, input: RgbdInput) -> CameraFrameSets {
-    let seen = |(number, capture): (usize, plumb::calibration::rgbd_input::RgbdCapture)| {
+    let seen = |(number, capture): (usize, plumb::calibration::rgbd_input::RgbdFrameSet)| {
         ObservedFrameSet {
             number,
             name: capture.name,
@@ -39,7 +39,7 @@ fn camera(name: &str, device: &SeededRgbd, input: RgbdInput) -> CameraFrameSets 
         ],
         given: None,
         depth: Some(input.depth),
-        frame_sets: input.captures.into_iter().enumerate().map(seen).collect(),
+        frame_sets: input.frame_sets.into_iter().enumerate().map(seen).collect(),
     }
 }
 

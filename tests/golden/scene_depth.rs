@@ -86,7 +86,7 @@ fn depth_of(recording: &mut Recording) -> (Vec<SceneImage>, SceneDepth) {
     let (mut images, mut depth, mut luma) = (Vec::new(), Vec::new(), GrayImage::default());
     let stated = recording.factory();
     let of_depth = stated.sensor(SensorKind::Depth).unwrap();
-    let factory = of_depth.lens.zip(of_depth.color_from_sensor.map(|pose| pose.inverse()));
+    let factory = of_depth.depth_lens(of_depth.image_size);
     for _ in 0..6 {
         let set = recording.next_frame_set().unwrap().unwrap();
         decode::luma(set.frame(SensorKind::Color).unwrap(), &mut luma).unwrap();

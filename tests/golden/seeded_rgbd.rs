@@ -2,7 +2,7 @@
 //! a known error of depth.
 
 use nalgebra::{Point3, Vector3};
-use plumb::calibration::rgbd_input::{DepthSensor, RgbdCapture, RgbdInput};
+use plumb::calibration::rgbd_input::{DepthSensor, RgbdFrameSet, RgbdInput};
 use plumb::estimation::camera::CameraOptions;
 use plumb::estimation::interrupt::Interrupt;
 use plumb::estimation::problem::{Correspondence, LensChoice};
@@ -85,7 +85,7 @@ impl SeededRgbd {
     pub fn input(&self, poses: &[Pose], rng: &mut ChaCha8Rng) -> RgbdInput {
         let captures = poses.iter().enumerate().map(|(index, pose)| {
             let depth_from_board = self.depth_from_color * *pose;
-            RgbdCapture {
+            RgbdFrameSet {
                 name: format!("view {index}"),
                 time_s: None,
                 is_view: true,
@@ -107,7 +107,7 @@ impl SeededRgbd {
                 factory: None,
                 with_infrared: true,
             },
-            captures: captures.collect(),
+            frame_sets: captures.collect(),
         }
     }
 

@@ -1,7 +1,8 @@
 //! What depth and infrared show of one view of a board.
 
-use crate::calibration::information::depth_fit::few;
+use crate::calibration::information::depth_fit::sample;
 use crate::calibration::information::teaching::TaughtView;
+use crate::estimation::rgbd::plane_information::TileSample;
 use crate::geometry::depth_camera::DepthTile;
 
 /// What depth and infrared show of one view.
@@ -19,8 +20,8 @@ pub struct MeasuredView {
     /// Which of the session's views it is.
     pub number: u32,
     pub(super) tiles: Vec<DepthTile>,
-    /// Some of them, and for how many each stands.
-    pub(super) few: (Vec<DepthTile>, f64),
+    /// Some of those that lie on the board's plane.
+    pub(super) sample: TileSample,
     /// The distance of the surface, in meters.
     pub(super) z_m: f64,
 }
@@ -28,8 +29,8 @@ pub struct MeasuredView {
 impl MeasuredView {
     pub(super) fn new(number: u32, tiles: Vec<DepthTile>) -> Self {
         let z_m = distance_m(&tiles);
-        let few = few(&tiles, &vec![true; tiles.len()]);
-        Self { number, tiles, few, z_m }
+        let sample = sample(&tiles, &vec![true; tiles.len()]);
+        Self { number, tiles, sample, z_m }
     }
 
     /// The same as the `number`-th view.

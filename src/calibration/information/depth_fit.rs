@@ -6,9 +6,11 @@ use nalgebra::{DMatrix, DVector, Vector6};
 use crate::calibration::information::lens_information::inverse;
 use crate::calibration::information::teaching::TaughtView;
 use crate::calibration::information::view_information::inverse_of_pose;
-use crate::estimation::rgbd::plane_information::{PlacedDepth, PlaneNormal, moved_board};
+use crate::estimation::rgbd::plane_information::{
+    PlacedDepth, PlaneNormal, TileSample, moved_board,
+};
 use crate::geometry::depth_camera::DepthTile;
-use crate::geometry::median::median;
+use crate::geometry::median::{NORMAL_MEDIAN, median};
 
 /// What came of it.
 pub(super) struct FittedDepth {
@@ -36,11 +38,9 @@ const FIRST_DAMPING: f64 = 1e-3;
 const DAMPING_FACTOR: f64 = 10.0;
 /// Residual limit of an inlier tile, in standard deviations.
 const LIMIT: f64 = 6.0;
-/// The standard deviation of normal numbers is their median size over this.
-const NORMAL_MEDIAN: f64 = 0.6745;
 
 /// So many tiles stand for all of a view.
-const FEW: usize = 24;
+const SAMPLED: usize = 24;
 
 /// Fits the depth camera from `start` on, which is known as well as `prior` says: it stays there in
 /// directions that nothing determines. `None` where there is no fit.
@@ -126,9 +126,8 @@ impl FittedDepth {
     }
 
     fn normal(&self, (taught, tiles): PlaneView<'_>, used: &[bool]) -> Option<PlaneNormal> {
-        let (few, count) = few(tiles, used);
-        let weight = count / (self.scatter[0] * self.scatter[0]);
-        PlaneNormal::of(&self.depth, &taught.centered(), (&few, weight))
+        let variance = self.scatter[0] * self.scatter[0];
+        PlaneNormal::of(&self.depth, &taught.centered(), &sample(tiles, used), variance)
     }
 
     /// Finds which tiles lie on their planes, and how those scatter; the boards are where corners
@@ -185,16 +184,18 @@ fn mean_squares_of_quarters(tiles: &[(&DepthTile, f64)]) -> Option<f64> {
     Some(quarters.iter().map(mean_square).sum())
 }
 
-/// A few of the used tiles, and for how many each stands. Taken by the golden ratio, so that rows
-/// and columns of tiles are no pattern of theirs.
-pub(super) fn few(tiles: &[DepthTile], used: &[bool]) -> (Vec<DepthTile>, f64) {
+/// At most [`SAMPLED`] of the used tiles. Taken by the golden ratio, so that rows and columns of
+/// tiles are no pattern of theirs.
+pub(super) fn sample(tiles: &[DepthTile], used: &[bool]) -> TileSample {
     let used: Vec<DepthTile> =
         tiles.iter().zip(used).filter(|(_, used)| **used).map(|(tile, _)| *tile).collect();
-    if used.len() <= FEW {
-        return (used, 1.0);
+    if used.len() <= SAMPLED {
+        return TileSample { tiles: used, each: 1.0 };
     }
     let golden = 0.5 * (5.0_f64.sqrt() - 1.0);
-    let place = |k: usize| ((k as f64 * golden).fract() * used.len() as f64) as usize;
-    let few = (0..FEW).map(|k| used[place(k).min(used.len() - 1)]).collect();
-    (few, used.len() as f64 / FEW as f64)
+    let index = |k: usize| ((k as f64 * golden).fract() * used.len() as f64) as usize;
+    TileSample {
+        tiles: (0..SAMPLED).map(|k| used[index(k).min(used.len() - 1)]).collect(),
+        each: used.len() as f64 / SAMPLED as f64,
+    }
 }

@@ -13,7 +13,7 @@ use nalgebra::{DMatrix, Point3};
 
 use crate::calibration::information::board_in_depth::{BoardInDepth, MeasuredView, distance_m};
 use crate::calibration::information::corner_noise::side_px;
-use crate::calibration::information::depth_fit::{FittedDepth, few, fit_depth};
+use crate::calibration::information::depth_fit::{FittedDepth, fit_depth, sample};
 use crate::calibration::information::depth_goal::DepthGoal;
 use crate::calibration::information::depth_information::{DepthInformation, DepthNormal};
 use crate::calibration::information::expected_depth::DepthTileNoise;
@@ -23,8 +23,8 @@ use crate::calibration::information::view_information::ViewNormal;
 use crate::calibration::rgbd_guess::{board_outline, same_view};
 use crate::detection::board_plane::{NoPlane, PlaneOptions, find_board_plane};
 use crate::estimation::problem::BoardView;
-use crate::estimation::rgbd::plane_information::{PlacedDepth, PlaneNormal};
-use crate::geometry::depth_camera::{DepthReading, DepthTile};
+use crate::estimation::rgbd::plane_information::{PlacedDepth, PlaneNormal, TileSample};
+use crate::geometry::depth_camera::{DepthReading, PosedDepthLens};
 use crate::geometry::lens::Lens;
 use crate::geometry::median::median_pose;
 use crate::geometry::pixel::ImageSize;
@@ -92,8 +92,8 @@ pub struct DeviceDepth {
     pub reading: DepthReading,
     /// The reading that means none.
     pub invalid: Option<u16>,
-    /// Its lens, and where color is.
-    pub factory: Option<(Lens, Pose)>,
+    /// What the device states of its lens and pose.
+    pub factory: Option<PosedDepthLens>,
 }
 
 /// The solve takes as many views with depth.
@@ -113,8 +113,11 @@ impl DepthTeaching {
     /// Nothing taught yet of a depth camera beside the one that `color` is of.
     pub fn new(target: &Target, color: &Teaching, stated: &DeviceDepth) -> Self {
         let size = stated.size;
-        let guess = || (same_view(color.lens(), color.size(), size), Pose::identity());
-        let (lens, depth_from_color) = stated.factory.unwrap_or_else(guess);
+        let guess = || PosedDepthLens {
+            lens: same_view(color.lens(), color.size(), size),
+            depth_from_color: Pose::identity(),
+        };
+        let PosedDepthLens { lens, depth_from_color } = stated.factory.unwrap_or_else(guess);
         let guess = PlacedDepth::new((lens, size), depth_from_color, (stated.reading, [0.3, 3.0]));
         Self {
             target: *target,
@@ -160,20 +163,19 @@ impl DepthTeaching {
             return None;
         }
         let known_margin = self.margin_squares(color, taught);
-        let (lens, depth_from_color) = match known_margin {
-            Some(_) => (self.depth.lens, self.depth.depth_from_color),
+        let depth = match known_margin {
+            Some(_) => self.depth.posed_lens(),
             None => self.guess(color),
         };
         let margin = known_margin.unwrap_or(UNKNOWN_MARGIN_SQUARES);
-        let place = (&lens, &depth_from_color);
-        let outline = board_outline(&self.target, place, &taught.camera_from_board, margin);
+        let outline = board_outline(&self.target, &depth, &taught.camera_from_board, margin);
         let options = PlaneOptions { invalid: self.invalid, ..PlaneOptions::default() };
-        let meaning = (self.depth.reading, &lens);
+        let meaning = (self.depth.reading, &depth.lens);
         match find_board_plane(image, meaning, &outline, &options) {
             Ok(tiles) => Some(MeasuredView::new(taught.number, tiles)),
             Err(NoPlane::Holes { .. } | NoPlane::NotFlat { .. }) => {
                 let middle = Point3::from(taught.normal().middle_in_camera);
-                self.noise.miss((depth_from_color * middle).z);
+                self.noise.miss((depth.depth_from_color * middle).z);
                 None
             }
             Err(_) => None,
@@ -208,12 +210,12 @@ impl DepthTeaching {
     }
 
     /// The depth camera that a fit begins with: as stated, or one that sees what color sees.
-    fn guess(&self, color: &Teaching) -> (Lens, Pose) {
+    fn guess(&self, color: &Teaching) -> PosedDepthLens {
+        let guess = self.guess.posed_lens();
         if self.is_stated {
-            return (self.guess.lens, self.guess.depth_from_color);
+            return guess;
         }
-        let lens = same_view(color.lens(), color.size(), self.size);
-        (lens, self.guess.depth_from_color)
+        PosedDepthLens { lens: same_view(color.lens(), color.size(), self.size), ..guess }
     }
 
     /// What the corners `seen` by infrared in its image show, which is depth's image; `color` is the
@@ -302,11 +304,11 @@ impl DepthTeaching {
         let now = self.now.as_ref()?;
         let of_color = board.in_color.lens_information(&now.known.free)?;
         let place = (color.board(), board.color_from_board);
-        let tiles = self.noise.expected((&self.depth, self.size), place);
-        let z_m = tiles.as_ref().map(|(tiles, _)| distance_m(tiles));
-        let tiles = tiles.as_ref().map(|(tiles, count)| (tiles.as_slice(), *count));
+        let surface = self.noise.expected((&self.depth, self.size), place);
+        let z_m = surface.as_ref().map(|surface| distance_m(&surface.tiles));
         let corners = (board.in_color, board.in_infrared);
-        let of_depth = self.normal(&now.known, (board.color_from_board, corners), tiles);
+        let seen = (board.color_from_board, corners);
+        let of_depth = self.normal(&now.known, seen, surface.as_ref());
         Some(ExpectedView { of_color, z_m: z_m.filter(|_| of_depth.is_some()), of_depth })
     }
 
@@ -350,27 +352,28 @@ impl DepthTeaching {
         taught: &TaughtView,
         (surface, infrared): (Option<&MeasuredView>, Option<&TaughtView>),
     ) -> Option<DepthNormal> {
-        let tiles = surface.map(|surface| (surface.few.0.as_slice(), surface.few.1));
         let corners = (taught.normal(), infrared.map(TaughtView::normal));
-        self.normal(known, (&taught.camera_from_board, corners), tiles)
+        self.normal(
+            known,
+            (&taught.camera_from_board, corners),
+            surface.map(|surface| &surface.sample),
+        )
     }
 
     /// What one view says of depth: by the corners that color sees and, where they count, those
-    /// that infrared sees, and by some tiles of the board's surface, each of which stands for as
-    /// many.
+    /// that infrared sees, and by some tiles of the board's surface.
     fn normal(
         &self,
         known: &DepthInformation,
         (color_from_board, (color, infrared)): (&Pose, (&ViewNormal, Option<&ViewNormal>)),
-        tiles: Option<(&[DepthTile], f64)>,
+        surface: Option<&TileSample>,
     ) -> Option<DepthNormal> {
         let centered = Pose::new(color_from_board.rotation(), color.middle_in_camera);
         let [tile_scatter, together] = self.scatter.map(|scatter| scatter * scatter);
         // Where corners teach lens and place, theirs is no scatter of planes.
         let variance = if self.by_infrared { tile_scatter * together } else { tile_scatter };
-        let planes = tiles.and_then(|(tiles, count)| {
-            PlaneNormal::of(&self.depth, &centered, (tiles, count / variance))
-        });
+        let planes =
+            surface.and_then(|tiles| PlaneNormal::of(&self.depth, &centered, tiles, variance));
         let infrared = infrared.filter(|_| self.by_infrared);
         let infrared = infrared
             .map(|corners| InfraredNormal::of(&self.depth, &color.middle_in_camera, corners));
@@ -411,15 +414,16 @@ impl DepthTeaching {
         (infrared.is_estimated() && infrared.views().len() >= LEAST_VIEWS).then_some(infrared)
     }
 
-    /// The depth camera's lens and place as corners have them.
-    fn placed_by_infrared(&self, color: &Teaching) -> Option<(Lens, Pose)> {
+    /// The depth camera's lens and pose as corners have them.
+    fn posed_by_infrared(&self, color: &Teaching) -> Option<PosedDepthLens> {
         let infrared = self.usable_infrared()?;
         let both = color.views().iter().filter_map(|taught| {
             let board_from_color = taught.camera_from_board.inverse();
             Some(self.in_infrared(taught)?.camera_from_board * board_from_color)
         });
         let depth_from_color: Vec<Pose> = both.collect();
-        Some((*infrared.lens(), median_pose(&depth_from_color)?))
+        let depth_from_color = median_pose(&depth_from_color)?;
+        Some(PosedDepthLens { lens: *infrared.lens(), depth_from_color })
     }
 
     /// Each view with what color saw in it.
@@ -437,13 +441,14 @@ impl DepthTeaching {
         let [near, far] = self.seen_m().unwrap_or([1.0; 2]);
         let mut start = self.guess.clone();
         start.correction.seen_m = [near / BEYOND_SEEN, far * BEYOND_SEEN];
-        let by_infrared = self.placed_by_infrared(color);
-        (start.lens, start.depth_from_color) = by_infrared.unwrap_or_else(|| self.guess(color));
+        let by_infrared = self.posed_by_infrared(color);
+        let posed = by_infrared.unwrap_or_else(|| self.guess(color));
+        (start.lens, start.depth_from_color) = (posed.lens, posed.depth_from_color);
         self.by_infrared = by_infrared.is_some();
         if self.by_infrared {
             start = start.with_open_lens();
         }
-        self.estimated_beside = Some((*color.lens(), by_infrared.map(|(lens, _)| lens)));
+        self.estimated_beside = Some((*color.lens(), by_infrared.map(|posed| posed.lens)));
         // As well as corners alone have it.
         self.depth = start.clone();
         let mut known = DepthInformation::prior(color.known(), &start);
@@ -461,7 +466,7 @@ impl DepthTeaching {
         (self.depth, self.scatter) = (depth, scatter);
         for (number, used) in numbers.into_iter().zip(used) {
             let view = self.views.iter_mut().find(|view| view.number == number);
-            view.into_iter().for_each(|view| view.few = few(&view.tiles, &used));
+            view.into_iter().for_each(|view| view.sample = sample(&view.tiles, &used));
         }
         self.estimated_among = self.views.len();
         self.noise.learn(self.views.iter().map(|view| (view.z_m, view.tiles.as_slice())));

@@ -4,7 +4,7 @@
 use nalgebra::Point3;
 
 use crate::calibration::information::candidate_views::BoardPoints;
-use crate::estimation::rgbd::plane_information::PlacedDepth;
+use crate::estimation::rgbd::plane_information::{PlacedDepth, TileSample};
 use crate::geometry::depth_camera::DepthTile;
 use crate::geometry::median::median;
 use crate::geometry::pixel::ImageSize;
@@ -15,10 +15,18 @@ use crate::geometry::pose::Pose;
 pub struct DepthTileNoise {
     /// ln of the distance in meters, and of a reading's standard deviation in 1/z, view by view.
     seen: Vec<[f64; 2]>,
-    /// The line through them: its height at their mean distance, and its slope.
-    line: Option<([f64; 2], f64)>,
+    /// The line through them.
+    line: Option<NoiseLine>,
     /// ln of distances at which a board in view was not measured.
     missed: Vec<f64>,
+}
+
+/// ln of a reading's standard deviation in 1/z, as a line over ln of the distance in meters.
+#[derive(Debug, Clone, Copy)]
+struct NoiseLine {
+    /// A point of the line: the mean of the views.
+    mean: [f64; 2],
+    slope: f64,
 }
 
 /// A reading's standard deviation in 1/z before any view: that of a stereo camera with a focal
@@ -53,9 +61,9 @@ impl DepthTileNoise {
         let mean = |axis: usize| {
             self.seen.iter().map(|view| view[axis]).sum::<f64>() / self.seen.len().max(1) as f64
         };
-        let middle = [mean(0), mean(1)];
+        let mean = [mean(0), mean(1)];
         let sum = |of: fn([f64; 2]) -> f64| {
-            let each = self.seen.iter().map(|view| [view[0] - middle[0], view[1] - middle[1]]);
+            let each = self.seen.iter().map(|view| [view[0] - mean[0], view[1] - mean[1]]);
             each.map(of).sum::<f64>()
         };
         let nearest = self.seen.iter().map(|view| view[0]).fold(f64::INFINITY, f64::min);
@@ -65,7 +73,7 @@ impl DepthTileNoise {
         let slope = sum(|[x, y]| x * y) / sum(|[x, _]| x * x);
         let slope = if shows_slope { slope.clamp(SLOPES[0], SLOPES[1]) } else { 0.0 };
         self.missed.clear();
-        self.line = (!self.seen.is_empty()).then_some((middle, slope));
+        self.line = (!self.seen.is_empty()).then_some(NoiseLine { mean, slope });
     }
 
     /// A board in view at this distance was not measured.
@@ -78,8 +86,8 @@ impl DepthTileNoise {
 
     /// A reading's standard deviation in 1/z at a distance, in 1/m.
     fn std_per_m(&self, z_m: f64) -> f64 {
-        self.line.map_or(UNSEEN_STD_PER_M, |(middle, slope)| {
-            (middle[1] + slope * (z_m.ln() - middle[0])).exp()
+        self.line.map_or(UNSEEN_STD_PER_M, |NoiseLine { mean, slope }| {
+            (mean[1] + slope * (z_m.ln() - mean[0])).exp()
         })
     }
 
@@ -92,13 +100,12 @@ impl DepthTileNoise {
         measured <= nearest(&mut self.missed.iter().copied()) || self.seen.is_empty()
     }
 
-    /// A few tiles that stand for those of a board there, and for how many each does; `None` where
-    /// depth would not measure it.
+    /// A few tiles that stand for those of a board there; `None` where depth would not measure it.
     pub fn expected(
         &self,
         (depth, size): (&PlacedDepth, ImageSize),
         (board, color_from_board): (&BoardPoints, &Pose),
-    ) -> Option<(Vec<DepthTile>, f64)> {
+    ) -> Option<TileSample> {
         let depth_from_board = depth.depth_from_color * *color_from_board;
         let outline = board.outline(MARGIN_SQUARES);
         let pixel = |point: Point3<f64>| depth.lens.pixel_from_point(&(depth_from_board * point));
@@ -128,6 +135,6 @@ impl DepthTileNoise {
         };
         let tiles: Vec<DepthTile> = (0..ACROSS[0] * ACROSS[1]).filter_map(tile).collect();
         let each = area_px / (side_px * side_px) / f64::from(ACROSS[0] * ACROSS[1]);
-        (each * tiles.len() as f64 >= LEAST_TILES).then_some((tiles, each))
+        (each * tiles.len() as f64 >= LEAST_TILES).then_some(TileSample { tiles, each })
     }
 }

@@ -19,7 +19,7 @@ use crate::calibration::scene::result::{SceneCalibration, ScenePoint};
 use crate::estimation::scene::bundle::CameraMotion;
 use crate::estimation::scene::metric_scale::{ScaleEstimate, ScaleReading, metric_scale};
 use crate::estimation::two_view::triangulation::parallax;
-use crate::geometry::depth_camera::{DepthCamera, DepthReading};
+use crate::geometry::depth_camera::{DepthCamera, DepthReading, PosedDepthLens};
 use crate::geometry::median::median;
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
@@ -206,7 +206,7 @@ impl SceneDepthCamera {
         }
         let DepthSensor { reading, invalid, factory, .. } = depth.sensor;
         let reading = reading.ok_or(NoScale::NoReading)?;
-        let (lens, depth_from_color) = factory.ok_or(NoScale::NoLens)?;
+        let PosedDepthLens { lens, depth_from_color } = factory.ok_or(NoScale::NoLens)?;
         let camera = DepthCamera { image_size, lens, reading, correction: None };
         Ok(Some(Self { camera, invalid, depth_from_color }))
     }

@@ -13,8 +13,7 @@ use crate::calibration::information::next_view::SuggestedView;
 use crate::calibration::information::teaching::{TaughtView, Teaching};
 use crate::calibration::view::{FrameFacts, View, target_as_seen};
 use crate::detection::board_detection::Detection;
-use crate::geometry::lens::Lens;
-use crate::geometry::pose::Pose;
+use crate::geometry::depth_camera::PosedDepthLens;
 use crate::geometry::target::Target;
 use crate::imaging::depth_encoding::DepthEncoding;
 use crate::imaging::depth_image::DepthImage;
@@ -27,7 +26,7 @@ pub struct DepthFrame {
     /// What they mean.
     pub encoding: DepthEncoding,
     /// The lens that the device states, and where color is.
-    pub factory: Option<(Lens, Pose)>,
+    pub factory: Option<PosedDepthLens>,
     /// The board in the image of the infrared camera that measures depth.
     pub infrared: Option<Detection>,
 }

@@ -14,6 +14,15 @@ use crate::estimation::joint::moved;
 use crate::geometry::median::median;
 use crate::geometry::pose::{Pose, pose_step};
 
+/// Where a board was, and when.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TimedPose {
+    /// When, in seconds from an arbitrary origin.
+    pub time_s: f64,
+    /// Where.
+    pub camera_from_board: Pose,
+}
+
 /// How fast a board moves, in a camera's frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BoardMotion {
@@ -41,11 +50,11 @@ const GAP: f64 = 2.5;
 /// The longest time between poses that determine a velocity, in seconds.
 const LONGEST_S: f64 = 0.5;
 
-/// The board's motion at each of `moments` (time in seconds, rising, and where the board was);
-/// `None` at the ends of a motion and where frames are missing.
-pub fn board_motions(moments: &[(f64, Pose)]) -> Vec<Option<BoardMotion>> {
+/// The board's motion at each of `moments`, whose times rise; `None` at the ends of a motion and
+/// where frames are missing.
+pub fn board_motions(moments: &[TimedPose]) -> Vec<Option<BoardMotion>> {
     let mut motions = vec![None; moments.len()];
-    let gaps: Vec<f64> = moments.windows(2).map(|pair| pair[1].0 - pair[0].0).collect();
+    let gaps = gaps_s(moments);
     let Some(longest_s) = longest_gap_s(&gaps) else { return motions };
     let together = |gap: f64| gap > 0.0 && gap <= longest_s;
     let mut first = 0;
@@ -59,6 +68,11 @@ pub fn board_motions(moments: &[(f64, Pose)]) -> Vec<Option<BoardMotion>> {
         first = end;
     }
     motions
+}
+
+/// The times between each of `moments` and the next, in seconds.
+fn gaps_s(moments: &[TimedPose]) -> Vec<f64> {
+    moments.windows(2).map(|pair| pair[1].time_s - pair[0].time_s).collect()
 }
 
 /// The longest of these times between frames, in seconds, over which two frames are one motion.
@@ -79,27 +93,28 @@ pub struct MovingBoard {
     pub steps: [Vector6<f64>; 2],
 }
 
-/// Where the board may have moved to `later_s` seconds after each of `moments` (time in seconds,
-/// rising, and where it was). Without a frame before or after that is one motion with it, a board
-/// is taken to have stood still there.
-pub fn boards_after(moments: &[(f64, Pose)], later_s: f64) -> Vec<MovingBoard> {
-    let gaps: Vec<f64> = moments.windows(2).map(|pair| pair[1].0 - pair[0].0).collect();
+/// Where the board may have moved to `later_s` seconds after each of `moments`, whose times rise.
+/// Without a frame before or after that is one motion with it, a board is taken to have stood still
+/// there.
+pub fn boards_after(moments: &[TimedPose], later_s: f64) -> Vec<MovingBoard> {
+    let gaps = gaps_s(moments);
     let longest_s = longest_gap_s(&gaps).unwrap_or(0.0);
-    let step = |pair: &[(f64, Pose)]| {
-        let [(before_s, before), (after_s, after)] = [pair[0], pair[1]];
-        let gap_s = after_s - before_s;
+    let step = |pair: &[TimedPose]| {
+        let [before, after] = [pair[0].camera_from_board, pair[1].camera_from_board];
+        let gap_s = pair[1].time_s - pair[0].time_s;
         let rotation = (after.rotation() * before.rotation().inverse()).scaled_axis();
         let whole = pose_step(&rotation, &(after.translation() - before.translation()));
         let is_one_motion = gap_s > 0.0 && gap_s <= longest_s;
         if is_one_motion { whole * (later_s / gap_s) } else { Vector6::zeros() }
     };
     let steps: Vec<Vector6<f64>> = moments.windows(2).map(step).collect();
-    let later = |(index, (_, pose)): (usize, &(f64, Pose))| {
+    let later = |(index, moment): (usize, &TimedPose)| {
+        let camera_from_board = moment.camera_from_board;
         let before = index.checked_sub(1).map_or(Vector6::zeros(), |index| steps[index]);
         let after = steps.get(index).copied().unwrap_or_default();
         MovingBoard {
-            camera_from_board: *pose,
-            camera_from_later: moved(pose, ((before + after) / 2.0).as_slice()),
+            camera_from_board,
+            camera_from_later: moved(&camera_from_board, ((before + after) / 2.0).as_slice()),
             steps: [before, after],
         }
     };
@@ -112,22 +127,15 @@ fn numbers(a_from_b: &Pose) -> [f64; 12] {
     std::array::from_fn(|k| if k < 9 { rotation[(k / 3, k % 3)] } else { translation[k - 9] })
 }
 
-fn spline_motions(moments: &[(f64, Pose)], motions: &mut [Option<BoardMotion>]) {
-    let rows: Vec<[f64; 12]> = moments.iter().map(|(_, pose)| numbers(pose)).collect();
-    let slopes: Vec<Vec<f64>> = (0..12)
-        .map(|k| {
-            slopes(
-                &moments
-                    .iter()
-                    .zip(&rows)
-                    .map(|((time, _), row)| (*time, row[k]))
-                    .collect::<Vec<_>>(),
-            )
-        })
-        .collect();
+fn spline_motions(moments: &[TimedPose], motions: &mut [Option<BoardMotion>]) {
+    let times_s: Vec<f64> = moments.iter().map(|moment| moment.time_s).collect();
+    let rows: Vec<[f64; 12]> =
+        moments.iter().map(|moment| numbers(&moment.camera_from_board)).collect();
+    let slopes_of = |k: usize| slopes(&times_s, &rows.iter().map(|row| row[k]).collect::<Vec<_>>());
+    let slopes: Vec<Vec<f64>> = (0..12).map(slopes_of).collect();
     for index in 1..moments.len() - 1 {
         let by_time = Matrix3::from_fn(|i, j| slopes[3 * i + j][index]);
-        let rotation = moments[index].1.rotation_matrix();
+        let rotation = moments[index].camera_from_board.rotation_matrix();
         // Ṙ Rᵀ is the matrix of the cross product with the rotation, but for the spline's own small
         // errors.
         let spin = by_time * rotation.transpose();
@@ -142,11 +150,11 @@ fn spline_motions(moments: &[(f64, Pose)], motions: &mut [Option<BoardMotion>]) 
     }
 }
 
-/// The slopes at its nodes of the natural cubic spline through (x, y).
-fn slopes(nodes: &[(f64, f64)]) -> Vec<f64> {
-    let count = nodes.len();
-    let step = |k: usize| nodes[k + 1].0 - nodes[k].0;
-    let rise = |k: usize| (nodes[k + 1].1 - nodes[k].1) / step(k);
+/// The slopes at its nodes of the natural cubic spline through `values` at `times`, which rise.
+fn slopes(times: &[f64], values: &[f64]) -> Vec<f64> {
+    let count = times.len();
+    let step = |k: usize| times[k + 1] - times[k];
+    let rise = |k: usize| (values[k + 1] - values[k]) / step(k);
     // Second derivatives by the tridiagonal system, forwards and back.
     let (mut factor, mut second) = (vec![0.0; count], vec![0.0; count]);
     for k in 1..count - 1 {
@@ -175,6 +183,16 @@ pub struct SeenByBoth {
     pub second_from_board: Pose,
 }
 
+/// Where the board's corners are in the board frame, and how far they reach.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BoardExtent {
+    /// Their middle, in meters.
+    pub center_in_board: Vector3<f64>,
+    /// About the board's half width, in meters: the length that weighs rotations against
+    /// translations.
+    pub radius_m: f64,
+}
+
 /// Least number of frame sets that determine a time.
 const LEAST_FRAME_SETS: usize = 8;
 
@@ -185,9 +203,8 @@ const LIMIT: [f64; 2] = [6.0, 2.0];
 /// The median of χ² with six degrees of freedom.
 const MEDIAN_OF_SIX: f64 = 5.348;
 
-/// By how much the second sensor is later, given about where it is. `center` is the board's middle
-/// and `radius` about its half width, in meters: the length that weighs rotations against
-/// translations. `None` for too few frame sets, or a board that never moves.
+/// By how much the second sensor is later, given about where it is. `None` for too few frame sets,
+/// or a board that never moves.
 ///
 /// Frames too far from each other to follow the motion give velocities too high at one and too low
 /// at the next, which cancel in least squares but not in a robust fit. So frame sets weigh the
@@ -196,26 +213,24 @@ const MEDIAN_OF_SIX: f64 = 5.348;
 pub fn time_offset(
     second_from_first: &Pose,
     moments: &[SeenByBoth],
-    (center, radius): (Vector3<f64>, f64),
+    board: BoardExtent,
 ) -> Option<TimeOffset> {
-    let rows: Vec<OffsetRow> = moments
-        .iter()
-        .map(|seen| OffsetRow::of(second_from_first, seen, &center, radius))
-        .collect();
+    let rows: Vec<OffsetRow> =
+        moments.iter().map(|seen| OffsetRow::of(second_from_first, seen, board)).collect();
     let mut weights = vec![1.0; rows.len()];
     let mut fit = solve(&rows, &weights)?;
     for _ in 0..20 {
-        let lengths: Vec<f64> = rows.iter().map(|row| row.rest(&fit.0).norm()).collect();
+        let lengths: Vec<f64> = rows.iter().map(|row| row.rest(&fit.answer).norm()).collect();
         let middle = median(lengths.clone())?.max(1e-9);
         weights = lengths.iter().map(|length| 1.0 / length.max(0.1 * middle)).collect();
         fit = solve(&rows, &weights)?;
     }
     for _ in 0..3 {
-        let lengths: Vec<f64> = rows.iter().map(|row| row.rest(&fit.0).norm()).collect();
+        let lengths: Vec<f64> = rows.iter().map(|row| row.rest(&fit.answer).norm()).collect();
         let std = (median(lengths.iter().map(|length| length * length).collect())? / MEDIAN_OF_SIX)
             .sqrt();
         let median_speed = median(rows.iter().map(|row| row.speed).collect())?;
-        let explained = |row: &OffsetRow| fit.0[6].abs() * (row.speed + median_speed);
+        let explained = |row: &OffsetRow| fit.answer[6].abs() * (row.speed + median_speed);
         let wrong = |(row, length): (&OffsetRow, &f64)| {
             *length > LIMIT[0] * std * 6.0_f64.sqrt() && *length > LIMIT[1] * explained(row)
         };
@@ -226,16 +241,16 @@ pub fn time_offset(
     if weights.iter().filter(|weight| **weight > 0.0).count() < LEAST_FRAME_SETS {
         return None;
     }
-    let (answer, inverse) = fit;
-    let (mut spread, mut left, mut moved) = (SMatrix::<f64, 7, 7>::zeros(), 0.0, 0.0);
+    let OffsetFit { answer, inverse } = fit;
+    let (mut pulls, mut left, mut moved) = (SMatrix::<f64, 7, 7>::zeros(), 0.0, 0.0);
     for (row, weight) in rows.iter().zip(&weights) {
         let rest = row.rest(&answer) * *weight;
         let pull = row.by.transpose() * rest;
-        spread += pull * pull.transpose();
+        pulls += pull * pull.transpose();
         left += rest.norm_squared();
         moved += weight * row.speed * row.speed;
     }
-    let std_s = (inverse * spread * inverse)[(6, 6)].max(0.0).sqrt();
+    let std_s = (inverse * pulls * inverse)[(6, 6)].max(0.0).sqrt();
     let jitter_s = (left / moved.max(f64::MIN_POSITIVE)).sqrt();
     (answer[6].is_finite() && std_s.is_finite()).then_some(TimeOffset {
         seconds: answer[6],
@@ -255,15 +270,16 @@ struct OffsetRow {
 }
 
 impl OffsetRow {
-    fn of(second_from_first: &Pose, seen: &SeenByBoth, center: &Vector3<f64>, radius: f64) -> Self {
+    fn of(second_from_first: &Pose, seen: &SeenByBoth, board: BoardExtent) -> Self {
+        let BoardExtent { center_in_board: center, radius_m: radius } = board;
         let expected = *second_from_first * seen.first_from_board;
-        let middle = |a_from_b: &Pose| a_from_b.translation() + *a_from_b * *center;
+        let middle = |a_from_b: &Pose| a_from_b.translation() + *a_from_b * center;
         let rotation = (seen.second_from_board.rotation() * expected.rotation().inverse())
             .scaled_axis()
             * radius;
         let translation = middle(&seen.second_from_board) - middle(&expected);
         let lever = middle(&expected) - second_from_first.translation();
-        let motion = seen.motion.in_frame(second_from_first).about(&(expected * *center));
+        let motion = seen.motion.in_frame(second_from_first).about(&(expected * center));
         let (spin, speed) = (motion.angular_velocity * radius, motion.velocity);
         let mut by = SMatrix::<f64, 6, 7>::zeros();
         by.fixed_view_mut::<3, 3>(0, 0).copy_from(&(Matrix3::identity() * radius));
@@ -280,14 +296,22 @@ impl OffsetRow {
     }
 }
 
-fn solve(rows: &[OffsetRow], weights: &[f64]) -> Option<(SVector<f64, 7>, SMatrix<f64, 7, 7>)> {
+/// The weighted least squares of `rows`.
+struct OffsetFit {
+    /// A rotation (radians) and a translation (meters) of the sensors' pose, and the time (seconds).
+    answer: SVector<f64, 7>,
+    /// The inverse of the normal equations.
+    inverse: SMatrix<f64, 7, 7>,
+}
+
+fn solve(rows: &[OffsetRow], weights: &[f64]) -> Option<OffsetFit> {
     let (mut square, mut right) = (SMatrix::<f64, 7, 7>::zeros(), SVector::<f64, 7>::zeros());
     for (row, weight) in rows.iter().zip(weights) {
         square += row.by.transpose() * row.by * *weight;
         right += row.by.transpose() * row.difference * *weight;
     }
-    let covariance = square.cholesky()?.inverse();
-    Some((covariance * right, covariance))
+    let inverse = square.cholesky()?.inverse();
+    Some(OffsetFit { answer: inverse * right, inverse })
 }
 
 impl BoardMotion {
@@ -328,27 +352,31 @@ mod tests {
         )
     }
 
+    fn at(time_s: f64) -> TimedPose {
+        TimedPose { time_s, camera_from_board: pose(time_s) }
+    }
+
     #[test]
     fn a_board_moves_on_as_far_as_the_frames_follow_it() {
         for fps in [30.0, 5.0] {
             let times: Vec<f64> = (0..40).map(|k| f64::from(k) / fps).collect();
-            let moments: Vec<(f64, Pose)> = times.iter().map(|time| (*time, pose(*time))).collect();
+            let moments: Vec<TimedPose> = times.into_iter().map(at).collect();
             let later_s = 0.012;
             let later = boards_after(&moments, later_s);
             let off_m = |at: Vector3<f64>, truth: Vector3<f64>| (at - truth).norm();
             let (mut left, mut open, mut whole) = (0.0, 0.0, 0.0);
-            for ((time, was), board) in moments.iter().zip(&later).skip(1).take(38) {
-                let truth = pose(time + later_s).translation();
+            for (moment, board) in moments.iter().zip(&later).skip(1).take(38) {
+                let truth = pose(moment.time_s + later_s).translation();
                 left += off_m(board.camera_from_later.translation(), truth).powi(2);
                 let [before, after] = board.steps;
                 open += (after - before).fixed_rows::<3>(3).norm_squared() / 4.0;
-                whole += off_m(was.translation(), truth).powi(2);
+                whole += off_m(moment.camera_from_board.translation(), truth).powi(2);
             }
             // At 30 fps a tenth is left; at 5 fps no more than the two motions differ by.
             assert!(left < if fps > 20.0 { 0.01 * whole } else { whole }, "{fps}: {left} {whole}");
             assert!(left < 1.5 * open, "{fps}: {left} {open}");
         }
-        let still = boards_after(&[(0.0, pose(0.0)), (9.0, pose(1.0))], 0.012);
+        let still = boards_after(&[at(0.0), TimedPose { time_s: 9.0, ..at(1.0) }], 0.012);
         assert_eq!(still[0].camera_from_later, pose(0.0));
         assert_eq!(still[0].steps, [Vector6::zeros(); 2]);
     }
@@ -357,16 +385,17 @@ mod tests {
     fn motion_is_the_poses_slope_and_a_gap_ends_it() {
         let times: Vec<f64> =
             (0..40).map(|k| f64::from(k) / 30.0 + if k >= 20 { 2.0 } else { 0.0 }).collect();
-        let moments: Vec<(f64, Pose)> = times.iter().map(|time| (*time, pose(*time))).collect();
+        let moments: Vec<TimedPose> = times.into_iter().map(at).collect();
         let motions = board_motions(&moments);
-        for (index, (time, at)) in moments.iter().enumerate() {
+        for (index, TimedPose { time_s, camera_from_board }) in moments.iter().enumerate() {
             let Some(motion) = motions[index] else {
                 assert!([0, 19, 20, 39].contains(&index), "{index}");
                 continue;
             };
-            let later = pose(time + 1e-6);
-            let rotation = (later.rotation() * at.rotation().inverse()).scaled_axis() * 1e6;
-            let translation = (later.translation() - at.translation()) * 1e6;
+            let later = pose(time_s + 1e-6);
+            let rotation =
+                (later.rotation() * camera_from_board.rotation().inverse()).scaled_axis() * 1e6;
+            let translation = (later.translation() - camera_from_board.translation()) * 1e6;
             let near_end = [1, 18, 21, 38].contains(&index);
             let limit = if near_end { 0.05 } else { 0.01 };
             assert!(
@@ -388,25 +417,24 @@ mod tests {
             Vector3::new(0.012, -0.019, 0.005),
             Vector3::new(-0.026, 0.001, 0.003),
         );
-        let center = Vector3::new(0.16, 0.1, 0.0);
-        let moments: Vec<(f64, Pose)> =
-            (0..60).map(|k| f64::from(k) / 15.0).map(|time| (time, pose(time))).collect();
+        let board = BoardExtent { center_in_board: Vector3::new(0.16, 0.1, 0.0), radius_m: 0.2 };
+        let moments: Vec<TimedPose> = (0..60).map(|k| at(f64::from(k) / 15.0)).collect();
         for offset_s in [-0.02, 0.0, 0.012] {
             let both = moments.iter().zip(board_motions(&moments)).enumerate().filter_map(
-                |(k, ((time, at), motion))| {
+                |(k, (moment, motion))| {
                     // Every tenth image is of another moment altogether.
                     let late = if k % 10 == 7 { 0.3 } else { offset_s };
                     Some(SeenByBoth {
-                        first_from_board: *at,
+                        first_from_board: moment.camera_from_board,
                         motion: motion?,
-                        second_from_board: truth * pose(time + late),
+                        second_from_board: truth * pose(moment.time_s + late),
                     })
                 },
             );
-            let found = time_offset(&assumed, &both.collect::<Vec<_>>(), (center, 0.2)).unwrap();
+            let found = time_offset(&assumed, &both.collect::<Vec<_>>(), board).unwrap();
             assert!((found.seconds - offset_s).abs() < 3e-4, "{found:?} not {offset_s}");
             assert!(found.std_s < 1e-3, "{found:?}");
         }
-        assert_eq!(time_offset(&assumed, &[], (center, 0.2)), None);
+        assert_eq!(time_offset(&assumed, &[], board), None);
     }
 }

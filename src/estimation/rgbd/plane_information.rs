@@ -14,7 +14,7 @@ use crate::estimation::rgbd::BASE_SMOOTHNESS;
 use crate::estimation::rgbd::device_prior::LENS_PARAMETERS;
 use crate::estimation::rgbd::planes::tile_inverse_std;
 use crate::estimation::rgbd::problem::free;
-use crate::geometry::depth_camera::{DepthReading, DepthTile};
+use crate::geometry::depth_camera::{DepthReading, DepthTile, PosedDepthLens};
 use crate::geometry::depth_correction::{CorrectedQuantity, DepthCorrection, SplineGrid};
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::{ImageSize, Pixel};
@@ -39,6 +39,15 @@ pub struct PlacedDepth {
     pub reading: DepthReading,
     /// Its systematic error.
     pub correction: DepthCorrection,
+}
+
+/// Some tiles of a board's surface that stand for all of them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TileSample {
+    /// The tiles.
+    pub tiles: Vec<DepthTile>,
+    /// For how many tiles each of them stands.
+    pub each: f64,
 }
 
 /// The normal equations of one view over the depth camera's parameters and the board's pose. The
@@ -71,6 +80,11 @@ impl PlacedDepth {
         let correction = DepthCorrection::none(quantity, TERMS, SplineGrid::constant(size), seen_m);
         let open = free(&lens, LENS_PARAMETERS).free;
         Self { lens, open, depth_from_color, reading, correction }
+    }
+
+    /// Its lens and pose alone.
+    pub fn posed_lens(&self) -> PosedDepthLens {
+        PosedDepthLens { lens: self.lens, depth_from_color: self.depth_from_color }
     }
 
     /// The same with all of its lens open.
@@ -179,13 +193,17 @@ impl PlacedDepth {
 }
 
 impl PlaneNormal {
-    /// That of a board at `color_from_board`, whose surface was measured in `tiles`; each counts
-    /// `weight` times. `None` where one of them is not seen by the lens, or the board is edge-on.
+    /// That of a board at `color_from_board`, whose surface was measured in `sample`. Tiles scatter
+    /// with `variance` times that of their readings. `None` where one of them is not seen by the
+    /// lens, or the board is edge-on.
     pub fn of(
         depth: &PlacedDepth,
         color_from_board: &Pose,
-        (tiles, weight): (&[DepthTile], f64),
+        sample: &TileSample,
+        variance: f64,
     ) -> Option<Self> {
+        let TileSample { tiles, each } = sample;
+        let weight = each / variance;
         let known = SensorLayout { lens: free(&depth.lens, 0), lens_at: 0, pose_at: None };
         let own = SensorLayout {
             lens: FreeLens { free: depth.open.clone(), ..known.lens.clone() },
@@ -211,7 +229,7 @@ impl PlaneNormal {
                 .map(|tile| tile_inverse_std(depth.reading, tile) * weight.sqrt())
                 .collect(),
             used: vec![true; tiles.len()],
-            tiles: tiles.to_vec(),
+            tiles: tiles.clone(),
         };
         let mut equations = NormalEquations::empty(layout.len, 1);
         let residuals = add_planes(
