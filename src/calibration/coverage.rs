@@ -69,12 +69,12 @@ impl Coverage {
         if !size.contains(pixel) {
             return None;
         }
-        let place = |x: f64, length: u32, cells: usize| {
+        let cell = |x: f64, length: u32, cells: usize| {
             let cell = (x + 0.5) / f64::from(length) * cells as f64;
             (cell as usize).min(cells - 1)
         };
         let (rows, cols) = (self.cells.len(), self.cells[0].len());
-        Some((place(pixel.y, size.height, rows), place(pixel.x, size.width, cols)))
+        Some((cell(pixel.y, size.height, rows), cell(pixel.x, size.width, cols)))
     }
 }
 

@@ -97,13 +97,13 @@ impl DepthCheck {
         let with_depth = views.iter().filter_map(|view| known.view(board, view));
         let (moving, still): (Vec<_>, Vec<_>) = with_depth.partition(|(_, is_moving)| *is_moving);
         let seen: Vec<Vec<SeenPatch>> = still.into_iter().map(|(patches, _)| patches).collect();
-        let places = 0..depth.bias.len().max(1);
+        let ranges = 0..depth.bias.len().max(1);
         let relative = |patches: &Vec<SeenPatch>| {
             median(patches.iter().map(|one| one.patch.error_m / one.z_m()).collect())
         };
         let relative: Vec<f64> = seen.iter().filter_map(relative).collect();
         Self {
-            ranges: places.filter_map(|place| range(&known, place, &seen)).collect(),
+            ranges: ranges.filter_map(|index| range(&known, index, &seen)).collect(),
             views: seen.len(),
             moving: moving.len(),
             off_sigmas: off_sigmas(&seen),
@@ -183,17 +183,17 @@ impl CalibratedErrors<'_> {
         Vector6::from_iterator(of_depth.iter().chain(rotation.iter()).copied())
     }
 
-    /// The calibration's range for a distance: the one it is in, or the nearest.
-    fn place(&self, z_m: f64) -> usize {
+    /// Which of the calibration's ranges a distance is in, or is nearest to.
+    fn range_index(&self, z_m: f64) -> usize {
         let beside = |range: &DepthBias| (range.from_m - z_m).max(z_m - range.to_m).max(0.0);
         let ranges = self.depth.bias.iter().map(beside).enumerate();
-        ranges.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(place, _)| place)
+        ranges.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(index, _)| index)
     }
 
     /// The standard deviation of a patch at `z_m`: that of held-out views, which grows with the
     /// square of distance beyond them; without any, that of single readings.
     fn held_out_std_m(&self, z_m: f64) -> f64 {
-        match self.depth.bias.get(self.place(z_m)) {
+        match self.depth.bias.get(self.range_index(z_m)) {
             Some(range) => range.rms_after_m * (z_m / range.to_m).powi(2).max(1.0),
             None => self.depth.noise.at(z_m),
         }
@@ -211,10 +211,10 @@ impl CalibratedErrors<'_> {
 
 fn range(
     known: &CalibratedErrors<'_>,
-    place: usize,
+    index: usize,
     seen: &[Vec<SeenPatch>],
 ) -> Option<CheckedRange> {
-    let here = |one: &&SeenPatch| known.place(one.z_m()) == place;
+    let here = |one: &&SeenPatch| known.range_index(one.z_m()) == index;
     let of_view =
         |patches: &Vec<SeenPatch>| patches.iter().filter(here).copied().collect::<Vec<_>>();
     let views: Vec<Vec<SeenPatch>> =

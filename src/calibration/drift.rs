@@ -169,8 +169,8 @@ mod tests {
         let corners = (0..6).flat_map(|row| (0..9).map(move |col| (col, row)));
         let correspondences = corners.map(|(col, row)| {
             let point_in_board = board.corner_in_board(col, row);
-            let place = point_in_board + offset_m(&point_in_board);
-            let pixel = lens.pixel_from_point(&(camera_from_board * place)).unwrap();
+            let moved = point_in_board + offset_m(&point_in_board);
+            let pixel = lens.pixel_from_point(&(camera_from_board * moved)).unwrap();
             Correspondence { point_in_board, pixel, std_px: 0.05 }
         });
         BoardView { name: k.to_string(), correspondences: correspondences.collect() }

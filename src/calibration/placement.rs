@@ -110,8 +110,8 @@ pub(crate) fn outer_corners(detection: &Detection) -> Option<[Pixel; 4]> {
     detection.markers?;
     let pairs: Vec<(Point2<f64>, Point2<f64>)> = (detection.corners.iter())
         .map(|DetectedCorner { index, pixel, .. }| {
-            let place = Point2::new(f64::from(index.col), f64::from(index.row));
-            (place, Point2::from(pixel.to_vector()))
+            let in_squares = Point2::new(f64::from(index.col), f64::from(index.row));
+            (in_squares, Point2::from(pixel.to_vector()))
         })
         .collect();
     let image_from_board = Homography::fit(&pairs).ok()?;

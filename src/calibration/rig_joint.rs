@@ -10,7 +10,7 @@ use crate::estimation::consistent_labels::consistent_labels;
 use crate::estimation::error::EstimationError;
 use crate::estimation::measured_board::MeasuredBoard;
 use crate::estimation::problem::LensChoice;
-use crate::estimation::rig::{RigProblem, RigSensor, SensorPlace, calibrate_rig};
+use crate::estimation::rig::{RigProblem, RigSensor, SensorPose, calibrate_rig};
 use crate::geometry::pose::Pose;
 
 /// Cameras that were solved together.
@@ -76,7 +76,7 @@ impl Joint {
         let problem = RigProblem { sensors, frame_sets: end.unwrap_or(0) };
         let estimate = calibrate_rig(&problem)?;
         let reference = &group[0].input.id;
-        let placed = group.iter().zip(&estimate.places).skip(1);
+        let others = group.iter().zip(&estimate.sensor_poses).skip(1);
         let as_solved = |(one, camera): (&&Alone<'_>, _)| ImageCalibration {
             compared: one.solved.sensor.compared.clone(),
             board_shape: board.cloned(),
@@ -89,8 +89,8 @@ impl Joint {
             .map(|(one, camera)| camera.rms_px / one.solved.estimate.rms_px.max(1e-3));
         Ok(Self {
             sensors: group.iter().zip(&estimate.cameras).map(as_solved).collect(),
-            extrinsics: placed
-                .map(|(one, place)| reference_from(reference, &one.input.id, place))
+            extrinsics: others
+                .map(|(one, pose)| reference_from(reference, &one.input.id, pose))
                 .collect(),
             rms_ratio: rms_ratio.collect(),
         })
@@ -114,7 +114,7 @@ impl Joint {
             );
             Finding { grade: Grade::Usable, reason }
         });
-        let open = self.extrinsics.iter().enumerate().filter_map(|(place, known)| {
+        let open = self.extrinsics.iter().enumerate().filter_map(|(index, known)| {
             let (rotation_deg, translation_m) =
                 (largest(known.rotation_std).to_degrees(), largest(known.translation_std_m));
             let loose = rotation_deg > LOOSE_DEG
@@ -125,7 +125,7 @@ impl Joint {
                 let reason = format!(
                     "{}_from_{} is known to {rotation_deg:.2}° and {:.1} mm only: {advice}",
                     name(0),
-                    name(place + 1),
+                    name(index + 1),
                     1e3 * translation_m
                 );
                 Finding { grade: Grade::Usable, reason }
@@ -164,14 +164,14 @@ fn largest(values: [f64; 3]) -> f64 {
 }
 
 /// The pose the other way round, with its covariance carried along.
-fn reference_from(reference: &SensorId, sensor: &SensorId, place: &SensorPlace) -> Extrinsics {
-    let by_place = place.sensor_from_rig.inverse_jacobian();
+fn reference_from(reference: &SensorId, sensor: &SensorId, pose: &SensorPose) -> Extrinsics {
+    let by_pose = pose.sensor_from_rig.inverse_jacobian();
     let (rotation_std, translation_std) =
-        pose_std(&(by_place * place.covariance * by_place.transpose()));
+        pose_std(&(by_pose * pose.covariance * by_pose.transpose()));
     Extrinsics {
         target: reference.clone(),
         source: sensor.clone(),
-        target_from_source: place.sensor_from_rig.inverse(),
+        target_from_source: pose.sensor_from_rig.inverse(),
         rotation_std: rotation_std.into(),
         translation_std_m: translation_std.into(),
     }

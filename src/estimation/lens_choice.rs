@@ -134,7 +134,7 @@ impl Choice {
             fits.iter().map(|fit| with_corners_of(fit, &fits[closest])).collect();
         let trial = |k: usize| Some((k, Trial::of(&fits[k], &observations[k], &views, grid)?));
         let mut trials: Vec<(usize, Trial<'_>)> = (0..fits.len()).filter_map(trial).collect();
-        trials.sort_by_key(|(_, trial)| trial.fit.lens().model().facts().auto_place);
+        trials.sort_by_key(|(_, trial)| trial.fit.lens().model().facts().auto_order);
         // Each is compared with the best so far: one that is beaten may be better than none.
         let mut best = 0;
         for larger in 1..trials.len() {

@@ -42,12 +42,12 @@ impl LensMisfit {
         (estimate, fit): (&CameraEstimate, &CameraFit),
     ) -> Option<Self> {
         let stated = estimate.lens.model();
-        let place = stated.facts().auto_place?;
+        let order = stated.facts().auto_order?;
         let mut prepared = Prepared::of(problem);
         if let Some(board) = &options.measured_board {
             prepared.place_on(board).ok()?;
         }
-        let is_larger = |model: &LensModel| model.facts().auto_place > Some(place);
+        let is_larger = |model: &LensModel| model.facts().auto_order > Some(order);
         let mut models = LensModel::compared().filter(is_larger);
         let stated_board = (fit, prepared.observations.as_slice());
         if !models.any(|model| could_fit_better(model, stated_board, (problem, options))) {

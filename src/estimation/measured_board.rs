@@ -54,14 +54,14 @@ impl MeasuredBoard {
         let (mut offsets_m, mut std_m) = (first.offsets_m.clone(), first.std_m.clone());
         let mut unevenness_weight = first.unevenness_std_m.powi(-2);
         for other in others {
-            let places: Option<Vec<usize>> =
+            let nearest: Option<Vec<usize>> =
                 points.iter().map(|point| other.nearest(point)).collect();
-            let Some(places) = places else { continue };
-            for (k, place) in places.into_iter().enumerate() {
+            let Some(nearest) = nearest else { continue };
+            for (k, nearest) in nearest.into_iter().enumerate() {
                 for axis in 0..3 {
-                    let [own, added] = [std_m[k][axis], other.std_m[place][axis]]
+                    let [own, added] = [std_m[k][axis], other.std_m[nearest][axis]]
                         .map(|std: f64| std.max(LEAST_STD_M).powi(-2));
-                    let sum = own * offsets_m[k][axis] + added * other.offsets_m[place][axis];
+                    let sum = own * offsets_m[k][axis] + added * other.offsets_m[nearest][axis];
                     offsets_m[k][axis] = sum / (own + added);
                     std_m[k][axis] = (own + added).powf(-0.5);
                 }
@@ -101,9 +101,9 @@ impl MeasuredBoard {
         let [along_x, along_y] = [0, 1].map(|axis| {
             let (mut product, mut square) = (0.0, 0.0);
             for (point, offset) in self.points.iter().zip(&self.offsets_m) {
-                let place = point[axis] - mean[axis];
-                product += place * offset[axis];
-                square += place * place;
+                let coordinate = point[axis] - mean[axis];
+                product += coordinate * offset[axis];
+                square += coordinate * coordinate;
             }
             product / square.max(f64::MIN_POSITIVE)
         });
@@ -131,8 +131,8 @@ impl MeasuredBoard {
 /// plane.
 pub(crate) fn bow_m(points: &[Point3<f64>], offsets_m: &[Vector3<f64>]) -> [f64; 2] {
     let spans = [0, 1].map(|axis| {
-        let places = || points.iter().map(|point| point[axis]);
-        let (low, high) = places()
+        let coordinates = || points.iter().map(|point| point[axis]);
+        let (low, high) = coordinates()
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
         (0.5 * (low + high), (0.5 * (high - low)).max(f64::MIN_POSITIVE))
     });

@@ -60,12 +60,12 @@ pub struct RigEstimate {
     /// Each sensor's lens and views, as a camera by itself.
     pub cameras: Vec<CameraEstimate>,
     /// Where each sensor is; the first is the identity.
-    pub places: Vec<SensorPlace>,
+    pub sensor_poses: Vec<SensorPose>,
 }
 
 /// Where a sensor is on the rig.
 #[derive(Debug, Clone, PartialEq)]
-pub struct SensorPlace {
+pub struct SensorPose {
     /// The pose.
     pub sensor_from_rig: Pose,
     /// Its covariance, as a rotation about the sensor's axes (radians) and a translation (meters); zero for
@@ -102,7 +102,7 @@ pub fn calibrate_rig(problem: &RigProblem) -> Result<RigEstimate, EstimationErro
     let fit = fit_jointly(problem, &alone)?;
     let known = FitCovariance::of(&fit).ok_or(EstimationError::NoFit)?;
     let by_shape = shape_widening_of(problem, &alone);
-    let (mut estimates, mut places, mut first_observation) = (Vec::new(), Vec::new(), 0);
+    let (mut estimates, mut sensor_poses, mut first_observation) = (Vec::new(), Vec::new(), 0);
     for (sensor, camera) in cameras.iter().enumerate() {
         let (prepared, own) = &alone[sensor];
         let part = Part { sensor, first_observation, noise: own_noise(own) };
@@ -120,10 +120,10 @@ pub fn calibrate_rig(problem: &RigProblem) -> Result<RigEstimate, EstimationErro
         };
         let sensor_from_rig = fit.robust.minimum.state.sensor_from_rig[sensor];
         let covariance = covariance * by_shape;
-        places.push(SensorPlace { sensor_from_rig, covariance, variance_inflation });
+        sensor_poses.push(SensorPose { sensor_from_rig, covariance, variance_inflation });
         first_observation += camera.views.len();
     }
-    Ok(RigEstimate { cameras: estimates, places })
+    Ok(RigEstimate { cameras: estimates, sensor_poses })
 }
 
 /// By how many times variances are greater for what is not known of the board's shape. Each sensor

@@ -79,13 +79,13 @@ struct LabelGrid {
     cols: usize,
     rows: usize,
     /// The column and row of each point.
-    places: Vec<(usize, usize)>,
-    /// The point at each place, row by row.
+    cells: Vec<(usize, usize)>,
+    /// The point in each cell, row by row.
     point_at: Vec<usize>,
 }
 
 impl LabelGrid {
-    /// `None` unless the points are all the places of a grid along x and y, each once.
+    /// `None` unless the points are all the cells of a grid along x and y, each once.
     fn of(points: &[Point3<f64>]) -> Option<Self> {
         let (xs, ys) = (lines(points.iter().map(|p| p.x)), lines(points.iter().map(|p| p.y)));
         let (cols, rows) = (xs.len(), ys.len());
@@ -95,27 +95,26 @@ impl LabelGrid {
         let nearest = |values: &[f64], v: f64| {
             values.partition_point(|x| *x < v - 0.5 * (values[1] - values[0]))
         };
-        let places: Vec<_> =
-            points.iter().map(|p| (nearest(&xs, p.x), nearest(&ys, p.y))).collect();
+        let cells: Vec<_> = points.iter().map(|p| (nearest(&xs, p.x), nearest(&ys, p.y))).collect();
         let mut point_at = vec![usize::MAX; points.len()];
-        for (index, (col, row)) in places.iter().enumerate() {
+        for (index, (col, row)) in cells.iter().enumerate() {
             *point_at.get_mut(row * cols + col)? = index;
         }
         point_at.iter().all(|index| *index != usize::MAX).then_some(Self {
             cols,
             rows,
-            places,
+            cells,
             point_at,
         })
     }
 
-    /// For each point the one that it was, had the labels been moved by `place`.
-    fn permuted(&self, place: impl Fn(usize, usize) -> (usize, usize)) -> Vec<usize> {
+    /// For each point the one that it was, had the labels been moved by `moved`.
+    fn permuted(&self, moved: impl Fn(usize, usize) -> (usize, usize)) -> Vec<usize> {
         let at = |&(col, row): &(usize, usize)| {
-            let (col, row) = place(col, row);
+            let (col, row) = moved(col, row);
             self.point_at[row * self.cols + col]
         };
-        self.places.iter().map(at).collect()
+        self.cells.iter().map(at).collect()
     }
 }
 

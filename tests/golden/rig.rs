@@ -82,12 +82,12 @@ fn a_pair_is_found_to_within_its_prediction() {
             "the test means to have views that only one sensor sees"
         );
         let estimate = calibrate_rig(&problem).unwrap();
-        let place = &estimate.places[1];
+        let known = &estimate.sensor_poses[1];
         let rotation =
-            (place.sensor_from_rig.rotation() * truth.rotation().inverse()).scaled_axis();
-        let translation = place.sensor_from_rig.translation() - truth.translation();
+            (known.sensor_from_rig.rotation() * truth.rotation().inverse()).scaled_axis();
+        let translation = known.sensor_from_rig.translation() - truth.translation();
         for (axis, error) in rotation.iter().chain(translation.iter()).enumerate() {
-            let std = place.covariance[(axis, axis)].sqrt();
+            let std = known.covariance[(axis, axis)].sqrt();
             assert!(error.abs() < 4.5 * std, "seed {seed}, axis {axis}: {error} ± {std}");
             inside += usize::from(error.abs() < std);
             count += 1;
@@ -165,18 +165,18 @@ fn what_moves_whole_views_of_one_sensor_is_in_the_rig_s_uncertainty() {
         let (mut problem, truth) = stereo(20, seed);
         sheared(&mut problem, 1, 2.0, seed);
         let estimate = calibrate_rig(&problem).unwrap();
-        let place = &estimate.places[1];
+        let known = &estimate.sensor_poses[1];
         let [left, right] = [0, 1].map(|camera| estimate.cameras[camera].variance_inflation);
         assert!(
             right > 2.0,
             "seed {seed}: the right one's variances are {right} times as large, the left one's {left}"
         );
         let rotation =
-            (place.sensor_from_rig.rotation() * truth.rotation().inverse()).scaled_axis();
+            (known.sensor_from_rig.rotation() * truth.rotation().inverse()).scaled_axis();
         for axis in 0..3 {
-            let square = rotation[axis].powi(2) / place.covariance[(axis, axis)];
+            let square = rotation[axis].powi(2) / known.covariance[(axis, axis)];
             (seen, alone, count) =
-                (seen + square, alone + square * place.variance_inflation, count + 1.0);
+                (seen + square, alone + square * known.variance_inflation, count + 1.0);
         }
     }
     let [ratio, naive] = [seen, alone].map(|sum: f64| (sum / count).sqrt());
@@ -200,7 +200,7 @@ fn a_right_rig_is_not_accused() {
         let factors = [
             estimate.cameras[0].variance_inflation,
             estimate.cameras[1].variance_inflation,
-            estimate.places[1].variance_inflation,
+            estimate.sensor_poses[1].variance_inflation,
         ];
         assert!(factors.iter().all(|factor| *factor < 1.25), "seed {seed}: {factors:?}");
         widened += factors.iter().filter(|factor| **factor > 1.0).count();
@@ -319,7 +319,7 @@ fn a_board_labeled_from_its_other_end_is_found_and_named() {
     }
     let estimate = calibrate_rig(&problem).unwrap();
     assert_eq!(estimate.cameras[1].views[4].fault, Some(ViewFault::HalfTurn));
-    let translation = estimate.places[1].sensor_from_rig.translation() - truth.translation();
+    let translation = estimate.sensor_poses[1].sensor_from_rig.translation() - truth.translation();
     assert!(translation.norm() < 0.002, "{translation}");
 }
 

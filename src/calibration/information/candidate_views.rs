@@ -194,12 +194,12 @@ pub struct CandidateSpace<'a> {
     /// How the board is rotated before a camera that it faces, as [`base_rotation`] has it.
     pub base: UnitQuaternion<f64>,
     /// Where it is not asked for.
-    pub avoided: &'a [AvoidedPlace],
+    pub avoided: &'a [AvoidedPose],
 }
 
-/// A place about which a board would not be kept.
+/// A pose about which a board would not be kept.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct AvoidedPlace {
+pub struct AvoidedPose {
     /// Where.
     pub camera_from_board: Pose,
     /// Within this effort.
@@ -237,14 +237,15 @@ pub fn effort(here_from_board: &Pose, there_from_board: &Pose, middle: Point3<f6
 
 impl CandidateSpace<'_> {
     /// The view of a board held so; `None` where the detector would not see all of it, and in
-    /// avoided places.
+    /// avoided poses.
     pub fn view(&self, holding: &Holding) -> Option<CandidateView> {
-        let place = self.place(holding)?;
-        let is_avoided = |avoided: &AvoidedPlace| {
-            effort(&avoided.camera_from_board, &place, self.board.middle()) < avoided.effort
+        let camera_from_board = self.camera_from_board(holding)?;
+        let is_avoided = |avoided: &AvoidedPose| {
+            effort(&avoided.camera_from_board, &camera_from_board, self.board.middle())
+                < avoided.effort
         };
         let may_be_asked_for = !self.avoided.iter().any(is_avoided);
-        may_be_asked_for.then(|| self.seen(holding, place)).flatten()
+        may_be_asked_for.then(|| self.seen(holding, camera_from_board)).flatten()
     }
 
     /// The view of a board at `camera_from_board`, which another camera sees held as `holding`;
@@ -298,7 +299,7 @@ impl CandidateSpace<'_> {
 
     /// Puts the card so that its bounding box in the image lies at the part `at` of the room that
     /// is left; farther away where there is none.
-    fn place(&self, holding: &Holding) -> Option<Pose> {
+    fn camera_from_board(&self, holding: &Holding) -> Option<Pose> {
         let [width, height] = [self.size.width, self.size.height].map(f64::from);
         let focal_px = 0.5 * (self.lens.matrix.fx + self.lens.matrix.fy);
         let mut distance_m =

@@ -1,4 +1,4 @@
-//! What a session's views have taught of the depth camera beside color: of its lens, its place and
+//! What a session's views have taught of the depth camera beside color: of its lens, its pose and
 //! its error, and of where color sees what it measures. Follows from the frames alone, as what
 //! color has been taught.
 //!
@@ -6,7 +6,7 @@
 //! lens was estimated anew, with color's poses held as well as their corners hold them; in between
 //! information only adds up.
 //!
-//! Once its infrared image shows three boards, its lens and place are where corners have them, as
+//! Once its infrared image shows three boards, its lens and pose are where corners have them, as
 //! in the solve, and planes teach the error in depth alone.
 
 use nalgebra::{DMatrix, Point3};
@@ -48,7 +48,7 @@ pub struct DepthTeaching {
     estimated_beside: Option<(Lens, Option<Lens>)>,
     /// What infrared, which measures depth, has been taught; `None` before it sees a board.
     infrared: Option<Teaching>,
-    /// Its corners taught the depth camera's lens and place at that estimate.
+    /// Its corners taught the depth camera's lens and pose at that estimate.
     by_infrared: bool,
     /// By how much tiles scatter more than their readings do, and neighbors together.
     scatter: [f64; 2],
@@ -243,7 +243,7 @@ impl DepthTeaching {
         self.infrared.iter_mut().for_each(|infrared| infrared.remove(number));
     }
 
-    /// What infrared has been taught, where its corners teach the depth camera's lens and place.
+    /// What infrared has been taught, where its corners teach the depth camera's lens and pose.
     pub(super) fn infrared(&self) -> Option<&Teaching> {
         self.infrared.as_ref().filter(|_| self.by_infrared)
     }
@@ -303,8 +303,8 @@ impl DepthTeaching {
     ) -> Option<ExpectedView> {
         let now = self.now.as_ref()?;
         let of_color = board.in_color.lens_information(&now.known.free)?;
-        let place = (color.board(), board.color_from_board);
-        let surface = self.noise.expected((&self.depth, self.size), place);
+        let held = (color.board(), board.color_from_board);
+        let surface = self.noise.expected((&self.depth, self.size), held);
         let z_m = surface.as_ref().map(|surface| distance_m(&surface.tiles));
         let corners = (board.in_color, board.in_infrared);
         let seen = (board.color_from_board, corners);
@@ -370,7 +370,7 @@ impl DepthTeaching {
     ) -> Option<DepthNormal> {
         let centered = Pose::new(color_from_board.rotation(), color.middle_in_camera);
         let [tile_scatter, together] = self.scatter.map(|scatter| scatter * scatter);
-        // Where corners teach lens and place, theirs is no scatter of planes.
+        // Where corners teach lens and pose, theirs is no scatter of planes.
         let variance = if self.by_infrared { tile_scatter * together } else { tile_scatter };
         let planes =
             surface.and_then(|tiles| PlaneNormal::of(&self.depth, &centered, tiles, variance));

@@ -61,8 +61,8 @@ impl Lesson for PairLesson<'_> {
     fn view(&self, image: usize, holding: &Holding) -> Option<LessonCandidate<BeforeBoth>> {
         let own = self.spaces[image].view(holding)?;
         let other_from_camera = [self.known.b_from_a, self.known.b_from_a.inverse()][image];
-        let place = other_from_camera * own.camera_from_board;
-        let other = self.spaces[1 - image].view_at(holding, place)?;
+        let other_from_board = other_from_camera * own.camera_from_board;
+        let other = self.spaces[1 - image].view_at(holding, other_from_board)?;
         let likely = own.likely.min(other.likely);
         let views = if image == 0 { [own, other] } else { [other, own] };
         let normals = [0, 1].map(|k| {

@@ -73,14 +73,14 @@ fn normals(lenses: [&Lens; 2], a_from_board: &Pose) -> [ViewNormal; 2] {
 /// Both lenses and the relative pose after a step of what is known of the pair.
 fn moved(known: &PairInformation, lenses: [&Lens; 2], step: &[f64]) -> ([Lens; 2], Pose) {
     let (of_a, rest) = step.split_at(known.free[0].len());
-    let (of_b, place) = rest.split_at(known.free[1].len());
+    let (of_b, of_pose) = rest.split_at(known.free[1].len());
     let steps = [of_a, of_b];
     let lenses = [0, 1].map(|k| {
         let mut parameters = lenses[k].parameters();
         known.free[k].iter().zip(steps[k]).for_each(|(index, step)| parameters[*index] += step);
         Lens::from_parameters(lenses[k].model(), &parameters).unwrap()
     });
-    let vector = |at: usize| Vector3::new(place[at], place[at + 1], place[at + 2]);
+    let vector = |at: usize| Vector3::new(of_pose[at], of_pose[at + 1], of_pose[at + 2]);
     (lenses, stepped(&known.b_from_a, [vector(0), vector(3)]))
 }
 
@@ -267,8 +267,8 @@ fn what_is_predicted_of_a_rig_is_what_its_solves_scatter_by() {
     let truth = transferred([&a, &b], &b_from_a(), middle).unwrap();
     for seed in 0..SEEDS {
         let problem = rig_problem([&a, &b], &seen, 77 + 1000 * seed);
-        let RigEstimate { cameras, places } = calibrate_rig(&problem).unwrap();
-        let found = places[1].sensor_from_rig;
+        let RigEstimate { cameras, sensor_poses } = calibrate_rig(&problem).unwrap();
+        let found = sensor_poses[1].sensor_from_rig;
         let rotation = (found.rotation() * b_from_a().rotation().inverse()).scaled_axis();
         let translation = found.translation() - b_from_a().translation();
         errors.push(Vector6::from_iterator(rotation.iter().chain(&translation).copied()));

@@ -10,7 +10,7 @@ use std::f64::consts::PI;
 use nalgebra::{DMatrix, UnitQuaternion, Vector3};
 
 use crate::calibration::information::candidate_views::{
-    AvoidedPlace, BoardPoints, CandidateSpace, base_rotation, effort,
+    AvoidedPose, BoardPoints, CandidateSpace, base_rotation, effort,
 };
 use crate::calibration::information::corner_noise::{CornerNoise, NoiseSample, side_px};
 use crate::calibration::information::lens_information::LensInformation;
@@ -256,11 +256,11 @@ impl Teaching {
     }
 
     /// Where a view would be the same image as a kept one, or was refused.
-    pub fn avoided(&self) -> Vec<AvoidedPlace> {
+    pub fn avoided(&self) -> Vec<AvoidedPose> {
         let kept = self.views.iter().map(|view| (view.camera_from_board, NEAR_KEPT));
         let refused = self.refused_camera_from_board.iter().map(|pose| (*pose, NEAR_REFUSED));
-        let place = |(camera_from_board, effort)| AvoidedPlace { camera_from_board, effort };
-        kept.chain(refused).map(place).collect()
+        let avoided = |(camera_from_board, effort)| AvoidedPose { camera_from_board, effort };
+        kept.chain(refused).map(avoided).collect()
     }
 
     /// How exact corners are, as far as the views show.
@@ -275,11 +275,11 @@ impl Teaching {
         effort(here_from_board, there_from_board, self.board.middle())
     }
 
-    /// Where the board can be asked for, `avoided` places aside.
+    /// Where the board can be asked for, `avoided` poses aside.
     pub fn space<'a>(
         &'a self,
         noise: &'a CornerNoise,
-        avoided: &'a [AvoidedPlace],
+        avoided: &'a [AvoidedPose],
     ) -> CandidateSpace<'a> {
         let unseen = if self.towards_camera { Vector3::x() * PI } else { Vector3::zeros() };
         let base = self.views.last().map_or_else(

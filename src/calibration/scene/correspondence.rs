@@ -64,7 +64,7 @@ impl SceneImage {
 
     /// The first of the features that are where `feature` is: one keypoint has a feature for each
     /// direction that dominates around it, but is measured once.
-    fn place(&self, feature: usize) -> usize {
+    fn keypoint_of(&self, feature: usize) -> usize {
         let keypoints = &self.features.keypoints;
         let at = keypoints[feature].pixel;
         (0..feature).rev().take_while(|k| keypoints[*k].pixel == at).last().unwrap_or(feature)
@@ -178,11 +178,11 @@ pub(super) fn correspond(
             found.between_neighbors.push(inliers);
         }
         let Some((matches, points, geometry)) = matched else { continue };
-        let placed = |k: &usize| Match {
-            first: images[first].place(matches[*k].first),
-            second: images[second].place(matches[*k].second),
+        let of_keypoints = |k: &usize| Match {
+            first: images[first].keypoint_of(matches[*k].first),
+            second: images[second].keypoint_of(matches[*k].second),
         };
-        verified.push((first, second, geometry.inliers.iter().map(placed).collect()));
+        verified.push((first, second, geometry.inliers.iter().map(of_keypoints).collect()));
         found.add_pair((first, second), &points, &geometry);
     }
     let tracks = join_tracks(&verified);

@@ -47,7 +47,7 @@ fn choose(start: &Reconstruction, given: &[(String, f64)]) -> Result<LensFit, Sc
     // that the images leave open.
     let largest = largest_polynomial(start, &compared);
     compared.retain(|model| Some(*model) == largest || !is_polynomial(start, *model));
-    compared.sort_by_key(|model| model.facts().auto_place);
+    compared.sort_by_key(|model| model.facts().auto_order);
     for model in compared {
         match fit_model(start, model, given) {
             Ok(fit) => fits.push(fit),
@@ -141,9 +141,9 @@ fn fit_model(
     let mut free: Vec<usize> = (0..parameters.len()).filter(|k| *k != SKEW).collect();
     for (name, value) in given {
         let unknown = || SceneRefusal::UnknownParameter { name: name.clone(), model };
-        let place = names.iter().position(|known| known == name).ok_or_else(unknown)?;
-        parameters[place] = *value;
-        free.retain(|k| *k != place);
+        let index = names.iter().position(|known| known == name).ok_or_else(unknown)?;
+        parameters[index] = *value;
+        free.retain(|k| *k != index);
     }
     let mut state = start.state.clone();
     state.lens = Lens::from_parameters(model, &parameters).ok_or(SceneRefusal::NoFit)?;

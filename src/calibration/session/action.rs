@@ -64,7 +64,7 @@ impl CameraFrame {
 pub struct KeptView {
     /// Counts the views of all cameras, from 0.
     pub number: u32,
-    /// The camera, as its place in the instrument.
+    /// The camera, as its index in the instrument.
     pub camera: usize,
     /// The frame set; views of the same one were taken together.
     pub frame_set: u32,
@@ -75,7 +75,7 @@ pub struct KeptView {
 /// What whoever owns the session has to do, in this order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Action {
-    /// Estimate the lens of the camera at this place from its views, and answer with
+    /// Estimate the lens of the camera of this index from its views, and answer with
     /// `Session::estimated`.
     Estimate(usize),
     /// Announce that the record changed in a way the operator should see.

@@ -245,7 +245,7 @@ impl BoardPart {
             && admit(detection, frame, self.before.as_ref(), &self.placements, &self.options)
                 .and_then(|placement| {
                     let taught = (self.taught(frame, detection), BoardInDepth::default());
-                    self.place_for(frame, &placement, &taught)
+                    self.room_for(frame, &placement, &taught)
                 })
                 .is_ok()
     }
@@ -285,8 +285,8 @@ impl BoardPart {
             return Some(self.add((frame, detection), placement, taught));
         }
         // One that was exchanged is stored too.
-        let place = self.place_for(frame, &placement, &taught).ok().flatten()?;
-        Some(self.exchange(place, (frame, detection), placement, taught))
+        let replaced = self.room_for(frame, &placement, &taught).ok().flatten()?;
+        Some(self.exchange(replaced, (frame, detection), placement, taught))
     }
 
     /// Whether the views reach the goals of `finish` but for its time.
@@ -374,13 +374,13 @@ impl BoardPart {
         let depth = (frame, depth.as_ref(), taught.as_ref());
         let depth = self.depth.seen(&self.target, self.teaching.as_ref(), depth);
         let taught = (taught, depth);
-        Ok(match self.place_for(frame, &placement, &taught)? {
+        Ok(match self.room_for(frame, &placement, &taught)? {
             None => self.add((frame, detection), placement, taught),
-            Some(place) => self.exchange(place, (frame, detection), placement, taught),
+            Some(replaced) => self.exchange(replaced, (frame, detection), placement, taught),
         })
     }
 
-    /// Puts a view in the place of one that teaches less.
+    /// Puts a view where one was that teaches less.
     fn exchange(
         &mut self,
         number: u32,

@@ -31,12 +31,12 @@ struct KeptOfCamera {
 impl KeptSoFar {
     /// What `session` has kept by now.
     pub fn of(session: &Session) -> Self {
-        let of_camera = |place: usize| {
-            let part = session.camera(place)?;
+        let of_camera = |camera: usize| {
+            let part = session.camera(camera)?;
             Some(KeptOfCamera {
                 image_size: part.image_size(),
                 placements: part.placements().to_vec(),
-                shared: session.shared_placements(place),
+                shared: session.shared_placements(camera),
             })
         };
         Self { cameras: (0..).map_while(of_camera).collect() }
@@ -64,26 +64,26 @@ impl Gate {
     /// Whether the session may keep something of this frame set, as far as `kept` says.
     pub fn may_keep(&self, frame_set: &[Option<CameraFrame>], kept: &KeptSoFar) -> bool {
         let none = KeptOfCamera::default();
-        let of = |place: usize| kept.cameras.get(place).unwrap_or(&none);
-        let is_new = |place: usize, placements: &[Placement]| {
-            let Some((frame, detection)) = frame_set[place].as_ref().and_then(with_board) else {
+        let of = |camera: usize| kept.cameras.get(camera).unwrap_or(&none);
+        let is_new = |camera: usize, placements: &[Placement]| {
+            let Some((frame, detection)) = frame_set[camera].as_ref().and_then(with_board) else {
                 return false;
             };
-            let before = self.before.get(place).and_then(Option::as_ref);
-            of(place).image_size.is_none_or(|expected| expected == frame.image_size)
+            let before = self.before.get(camera).and_then(Option::as_ref);
+            of(camera).image_size.is_none_or(|expected| expected == frame.image_size)
                 && admit(detection, frame, before, placements, &self.options).is_ok()
         };
-        let may_be_new = |place: usize, placements: &[Placement]| {
-            let is_full = of(place).placements.len() >= self.options.view_limit as usize;
-            is_new(place, if is_full { &[] } else { placements })
+        let may_be_new = |camera: usize, placements: &[Placement]| {
+            let is_full = of(camera).placements.len() >= self.options.view_limit as usize;
+            is_new(camera, if is_full { &[] } else { placements })
         };
         let seen = frame_set.iter().flatten().filter(|frame| frame.seen.is_ok()).count();
-        (0..frame_set.len()).any(|place| {
-            may_be_new(place, &of(place).placements)
-                || of(place)
+        (0..frame_set.len()).any(|camera| {
+            may_be_new(camera, &of(camera).placements)
+                || of(camera)
                     .shared
                     .as_ref()
-                    .is_some_and(|shared| seen > 1 && may_be_new(place, shared))
+                    .is_some_and(|shared| seen > 1 && may_be_new(camera, shared))
         })
     }
 
@@ -99,7 +99,7 @@ impl Gate {
         }
     }
 
-    /// The camera at this place gives no frames: what comes next is not compared with what came
+    /// The camera of this index gives no frames: what comes next is not compared with what came
     /// before.
     pub fn lost(&mut self, camera: usize) {
         if let Some(before) = self.before.get_mut(camera) {

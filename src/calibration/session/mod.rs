@@ -101,7 +101,7 @@ impl Session {
         &self.kept
     }
 
-    /// The part of the camera at this place.
+    /// The part of the camera of this index.
     pub fn camera(&self, camera: usize) -> Option<&CameraPart> {
         self.cameras.get(camera)
     }
@@ -116,7 +116,7 @@ impl Session {
         self.cameras.get(kept.camera)?.key_frames().get(kept.view as usize)
     }
 
-    /// What the camera at this place kept last of a scene.
+    /// What the camera of this index kept last of a scene.
     pub fn last_key_frame(&self, camera: usize) -> Option<&KeyFrame> {
         self.cameras.get(camera)?.key_frames().last()
     }
@@ -157,7 +157,7 @@ impl Session {
         self.observe(&[Some(CameraFrame { frame, seen, depth: None })])
     }
 
-    /// Whether the camera at this place would keep `frame` for what was detected in it, if it were
+    /// Whether the camera of this index would keep `frame` for what was detected in it, if it were
     /// observed now.
     pub fn would_keep(&self, camera: usize, frame: &FrameFacts, detection: &Detection) -> bool {
         self.record.state == SessionState::Collecting
@@ -236,7 +236,7 @@ impl Session {
         self.record.fail(reason, now_ns)
     }
 
-    /// The camera at this place gives no frames for `reason`: the session waits for it, and says
+    /// The camera of this index gives no frames for `reason`: the session waits for it, and says
     /// so.
     pub fn camera_lost(&mut self, camera: usize, reason: &str) -> Vec<Action> {
         let is_rig = self.is_rig();
@@ -412,8 +412,8 @@ impl Session {
             return;
         }
         let sharing = Sharing { cameras: &self.cameras, kept: &self.kept };
-        let member = |(place, part): (usize, &CameraPart)| SessionMember {
-            views_shared: sharing.views(place).count() as u32,
+        let member = |(camera, part): (usize, &CameraPart)| SessionMember {
+            views_shared: sharing.views(camera).count() as u32,
             ..part.summary().clone()
         };
         let members: Vec<SessionMember> = self.cameras.iter().enumerate().map(member).collect();

@@ -81,8 +81,8 @@ impl Pairs {
     /// Asks each camera for its part of the view that two should share, and those that are not
     /// asked for one for their own again.
     pub(super) fn ask(&self, cameras: &mut [CameraPart]) {
-        for (place, part) in cameras.iter_mut().enumerate() {
-            let asked = part.board().and_then(|part| self.asked_of(place, part));
+        for (camera, part) in cameras.iter_mut().enumerate() {
+            let asked = part.board().and_then(|part| self.asked_of(camera, part));
             part.ask_for(asked);
         }
     }

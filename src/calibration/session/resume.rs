@@ -28,13 +28,13 @@ impl Session {
     ) -> (Self, Vec<Action>) {
         let mut session = Self::begin(record, cameras, options);
         session.record.reason = None;
-        for (place, view) in views {
-            session.next_number = session.next_number.max(place.number + 1);
-            let Some(camera) = session.cameras.get_mut(place.camera) else { continue };
-            if let Some(own) = camera.restore(view, depth(place).as_ref()) {
-                session.frame_sets = session.frame_sets.max(place.frame_set + 1);
-                session.kept.retain(|old| (old.camera, old.view) != (place.camera, own));
-                session.kept.push(KeptView { view: own, ..*place });
+        for (kept, view) in views {
+            session.next_number = session.next_number.max(kept.number + 1);
+            let Some(camera) = session.cameras.get_mut(kept.camera) else { continue };
+            if let Some(own) = camera.restore(view, depth(kept).as_ref()) {
+                session.frame_sets = session.frame_sets.max(kept.frame_set + 1);
+                session.kept.retain(|old| (old.camera, old.view) != (kept.camera, own));
+                session.kept.push(KeptView { view: own, ..*kept });
             }
         }
         let actions = session.resumed();
@@ -50,12 +50,12 @@ impl Session {
     ) -> (Self, Vec<Action>) {
         let mut session = Self::begin(record, &[], options);
         session.record.reason = None;
-        for (place, frame, image) in key_frames {
-            session.next_number = session.next_number.max(place.number + 1);
-            session.frame_sets = session.frame_sets.max(place.frame_set + 1);
+        for (kept, frame, image) in key_frames {
+            session.next_number = session.next_number.max(kept.number + 1);
+            session.frame_sets = session.frame_sets.max(kept.frame_set + 1);
             let camera = session.cameras.first_mut();
             if let Some(view) = camera.and_then(|part| part.restore_key_frame(frame, image)) {
-                session.kept.push(KeptView { camera: 0, view, ..*place });
+                session.kept.push(KeptView { camera: 0, view, ..*kept });
             }
         }
         let actions = session.resumed();

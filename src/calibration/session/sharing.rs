@@ -67,8 +67,8 @@ impl<'a> Sharing<'a> {
 /// What to do next for the camera that lacks most; `asked` are two that a view is asked for that
 /// both see, the one first whose image the board is to be moved in.
 pub(super) fn next_step(members: &[SessionMember], asked: Option<[usize; 2]>) -> String {
-    let is_isolated = |(place, member): &(usize, &SessionMember)| {
-        let is_asked = asked.is_some_and(|asked| asked.contains(place));
+    let is_isolated = |(camera, member): &(usize, &SessionMember)| {
+        let is_asked = asked.is_some_and(|asked| asked.contains(camera));
         member.views_kept > 2 && (member.views_shared as usize) < WANTED && !is_asked
     };
     if let Some((_, isolated)) = members.iter().enumerate().find(is_isolated) {
@@ -77,7 +77,7 @@ pub(super) fn next_step(members: &[SessionMember], asked: Option<[usize; 2]>) ->
             isolated.camera
         );
     }
-    if let Some([first, other]) = asked.map(|asked| asked.map(|place| &members[place])) {
+    if let Some([first, other]) = asked.map(|asked| asked.map(|camera| &members[camera])) {
         return format!(
             "where {} and {} both see it, in the image of {}: {}",
             first.camera, other.camera, first.camera, first.guidance.message

@@ -29,12 +29,12 @@ impl EffectsFit {
         let variances = union(full, &self.variances, &still.variances);
         let effects: Vec<Effect> = variances.0.iter().map(|(effect, _)| *effect).collect();
         let (basis, _) = full.only(&effects);
-        let [own, other] = [self, still].map(|fit| fit.places_in(&basis));
+        let [own, other] = [self, still].map(|fit| fit.indices_in(&basis));
         let [own_shape, other_shape] = [(self, &own), (still, &other)]
-            .map(|(fit, places)| placed(&fit.state.shape, places, basis.len()));
+            .map(|(fit, indices)| widened(&fit.state.shape, indices, basis.len()));
         let difference = &own_shape - &other_shape;
         let [own_spread, other_spread] = [(self, &own), (still, &other)]
-            .map(|(fit, places)| placed_square(&fit.shape_covariance, places, basis.len()));
+            .map(|(fit, indices)| widened_square(&fit.shape_covariance, indices, basis.len()));
         let inflation = p * self.inflation + q * still.inflation;
         let mut fixed = if p > q { &self.state.fixed } else { &still.state.fixed }.clone();
         fixed.lenses[0] = mean_lens([&self.state, &still.state].map(|s| &s.fixed.lenses[0]), p)?;
@@ -71,7 +71,7 @@ impl EffectsFit {
     /// What was found, with another lens and other poses in a scene of the same views.
     pub(super) fn state_in(&self, scene: Scene<'_>, fixed: State, moves: bool) -> EffectsState {
         let still = EffectsState::flat_and_still(fixed, scene.basis, scene.observations.len());
-        let shape = placed(&self.state.shape, &self.places_in(scene.basis), scene.basis.len());
+        let shape = widened(&self.state.shape, &self.indices_in(scene.basis), scene.basis.len());
         EffectsState {
             shape: shape.as_slice().to_vec(),
             motions: if moves { self.state.motions.clone() } else { still.motions },
@@ -80,7 +80,7 @@ impl EffectsFit {
     }
 
     /// Where its coefficients lie in those of a wider basis.
-    fn places_in(&self, wider: &BoardBasis) -> Vec<usize> {
+    fn indices_in(&self, wider: &BoardBasis) -> Vec<usize> {
         let effects: Vec<Effect> = self.variances.0.iter().map(|(effect, _)| *effect).collect();
         wider.only(&effects).1
     }
@@ -94,16 +94,18 @@ fn union(full: &BoardBasis, a: &Variances, b: &Variances) -> Variances {
     Variances(heights.chain(others).filter_map(known).collect())
 }
 
-fn placed(values: &[f64], places: &[usize], len: usize) -> DVector<f64> {
+/// `values` at these of `len` coefficients; the others are 0.
+fn widened(values: &[f64], indices: &[usize], len: usize) -> DVector<f64> {
     let mut of = DVector::zeros(len);
-    places.iter().zip(values).for_each(|(place, value)| of[*place] = *value);
+    indices.iter().zip(values).for_each(|(index, value)| of[*index] = *value);
     of
 }
 
-fn placed_square(values: &DMatrix<f64>, places: &[usize], len: usize) -> DMatrix<f64> {
+/// The same of rows and columns.
+fn widened_square(values: &DMatrix<f64>, indices: &[usize], len: usize) -> DMatrix<f64> {
     let mut of = DMatrix::zeros(len, len);
-    for (k, row) in places.iter().enumerate() {
-        for (l, column) in places.iter().enumerate() {
+    for (k, row) in indices.iter().enumerate() {
+        for (l, column) in indices.iter().enumerate() {
             of[(*row, *column)] = values[(k, l)];
         }
     }

@@ -64,10 +64,10 @@ impl BoardBasis {
         let mut keys: Vec<([i64; 2], Point3<f64>)> = all().map(|p| (key(p), *p)).collect();
         keys.sort_by_key(|(key, _)| *key);
         keys.dedup_by_key(|(key, _)| *key);
-        let place = |p: &Point3<f64>| keys.binary_search_by_key(&key(p), |(key, _)| *key).ok();
+        let index = |p: &Point3<f64>| keys.binary_search_by_key(&key(p), |(key, _)| *key).ok();
         let point_of = observations
             .iter()
-            .map(|observation| observation.points.iter().map(place).collect::<Option<Vec<_>>>())
+            .map(|observation| observation.points.iter().map(index).collect::<Option<Vec<_>>>())
             .collect::<Option<Vec<_>>>()?;
         let points: Vec<Point3<f64>> = keys.iter().map(|(_, point)| *point).collect();
         let normalized: Vec<[f64; 2]> =
@@ -167,8 +167,8 @@ fn heights(points: &[[f64; 2]], max_degree: usize) -> Vec<(usize, Vec<f64>)> {
         }
     }
     kept.retain(|(degree, _)| *degree >= 2);
-    for (place, (group, _)) in kept.iter_mut().enumerate() {
-        *group = if *group == 2 { place.min(2) } else { *group };
+    for (index, (group, _)) in kept.iter_mut().enumerate() {
+        *group = if *group == 2 { index.min(2) } else { *group };
     }
     kept
 }

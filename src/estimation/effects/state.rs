@@ -65,8 +65,8 @@ impl EffectsState {
         index: usize,
     ) -> BoardObservation {
         let mut seen = scene.observations[index].clone();
-        for (point, place) in seen.points.iter_mut().zip(&scene.basis.point_of[index]) {
-            *point += offsets[*place];
+        for (point, index_of_point) in seen.points.iter_mut().zip(&scene.basis.point_of[index]) {
+            *point += offsets[*index_of_point];
         }
         let motion = &self.motions[index];
         if motion.iter().any(|v| *v != 0.0) {

@@ -245,9 +245,9 @@ impl Bundle {
         gradient: &mut DVector<f64>,
     ) {
         for term in self.prior.terms(lens) {
-            let place = |parameter: usize| self.free.iter().position(|free| *free == parameter);
+            let index_of = |parameter: usize| self.free.iter().position(|free| *free == parameter);
             let terms: Vec<(usize, f64)> =
-                term.by_parameters.iter().filter_map(|(p, d)| Some((place(*p)?, *d))).collect();
+                term.by_parameters.iter().filter_map(|(p, d)| Some((index_of(*p)?, *d))).collect();
             for (i, a) in &terms {
                 gradient[*i] += a * term.residual;
                 for (j, b) in terms.iter().filter(|(j, _)| j <= i) {

@@ -49,8 +49,8 @@ pub fn lens_covariance(
     let whitening = root.clone().try_inverse()?;
     let mut steps = DMatrix::zeros(bundle.size(state.cameras_from_scene.len()), lens);
     let whitened = covariance.columns(0, lens) * whitening.transpose();
-    for (row, place) in kept.iter().enumerate() {
-        steps.row_mut(*place).copy_from(&whitened.row(row));
+    for (row, column) in kept.iter().enumerate() {
+        steps.row_mut(*column).copy_from(&whitened.row(row));
     }
     let errors = SharedErrors::of((bundle, state), &steps, widened);
     // Priors say what they say; observations by themselves say more than their deviations do.

@@ -123,11 +123,12 @@ pub fn focal_by_image(bundle: &Bundle, state: &SceneState) -> Option<FocalByImag
     log_ratios.iter().all(|v| v.is_finite()).then_some(FocalByImage { log_ratios, covariance })
 }
 
-/// The columns of one observation, by place: lens, pose, own focal length.
+/// The columns of one observation, each with its index among all parameters: lens, pose, own focal
+/// length.
 struct RowColumns(Vec<(usize, Vector2<f64>)>);
 
 impl RowColumns {
-    fn of(bundle: &Bundle, row: &PixelRow, (by_focal, place): (Vector2<f64>, usize)) -> Self {
+    fn of(bundle: &Bundle, row: &PixelRow, (by_focal, index): (Vector2<f64>, usize)) -> Self {
         let lens = bundle.free.len();
         let mut columns: Vec<(usize, Vector2<f64>)> = (0..lens.min(MAX_PARAMETERS))
             .map(|k| (k, row.by_lens.column(k).into_owned()))
@@ -135,7 +136,7 @@ impl RowColumns {
         if let Some(start) = bundle.pose_start(row.camera) {
             columns.extend((0..6).map(|k| (start + k, row.by_pose.column(k).into_owned())));
         }
-        columns.push((place, by_focal));
+        columns.push((index, by_focal));
         Self(columns)
     }
 }

@@ -25,7 +25,7 @@ pub struct ScaleReading {
     pub depth_m: f64,
     /// The image.
     pub view: usize,
-    /// The scene point, by its place in the list of points.
+    /// The scene point, as its index among the points.
     pub point: usize,
     /// The region of the depth image.
     pub region: usize,

@@ -197,7 +197,7 @@ impl<'a> Growing<'a> {
     }
 
     fn bundle(&self, free: &[usize]) -> (Bundle, SceneState, Vec<usize>) {
-        let place = |image: usize| self.order.iter().position(|k| *k == image);
+        let camera_of = |image: usize| self.order.iter().position(|k| *k == image);
         let (mut observations, mut points, mut tracks) = (Vec::new(), Vec::new(), Vec::new());
         for (k, track) in self.problem.tracks.iter().enumerate() {
             let Some(point) = self.points[k] else { continue };
@@ -206,7 +206,7 @@ impl<'a> Growing<'a> {
                 .filter_map(|at| {
                     let inverse_std = 1.0 / at.std_px;
                     Some(SceneObservation {
-                        camera: place(at.image)?,
+                        camera: camera_of(at.image)?,
                         pixel: at.pixel,
                         scale_px: at.scale_px,
                         inverse_std,

@@ -91,7 +91,7 @@ pub fn reconstruct_rotations(
         &[matrix.fx, matrix.fy, matrix.cx, matrix.cy, 0.0, 0.0],
     )?;
     let (images, cameras_from_scene) = chained(problem.images, pairs, matrix);
-    let place = |image: usize| images.iter().position(|k| *k == image);
+    let camera_of = |image: usize| images.iter().position(|k| *k == image);
     let (mut observations, mut points) = (Vec::new(), Vec::new());
     for track in &problem.tracks {
         let mut seen: Vec<SceneObservation> = track
@@ -99,7 +99,7 @@ pub fn reconstruct_rotations(
             .filter_map(|at| {
                 let inverse_std = 1.0 / at.std_px;
                 Some(SceneObservation {
-                    camera: place(at.image)?,
+                    camera: camera_of(at.image)?,
                     pixel: at.pixel,
                     scale_px: at.scale_px,
                     inverse_std,

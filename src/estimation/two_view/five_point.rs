@@ -106,9 +106,9 @@ pub fn essential_from_five(pairs: &[PointPair; 5]) -> Vec<Matrix3<f64>> {
 fn constraints(basis: &[Matrix3<f64>]) -> SMatrix<f64, 10, 20> {
     let entry = |r: usize, c: usize| {
         let mut p = [0.0; 20];
-        let places = [INDEX[1][0][0], INDEX[0][1][0], INDEX[0][0][1], INDEX[0][0][0]];
-        for (place, matrix) in places.into_iter().zip(basis) {
-            p[place] = matrix[(r, c)];
+        let indices = [INDEX[1][0][0], INDEX[0][1][0], INDEX[0][0][1], INDEX[0][0][0]];
+        for (index, matrix) in indices.into_iter().zip(basis) {
+            p[index] = matrix[(r, c)];
         }
         p
     };

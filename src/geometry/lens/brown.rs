@@ -77,7 +77,7 @@ impl DistortionModel<5> for Brown {
     const FACTS: ModelFacts = ModelFacts {
         name: "brown",
         summary: "OpenCV's 5 coefficients, ROS plumb_bob",
-        auto_place: Some(2),
+        auto_order: Some(2),
         camera_info: Some(CameraInfoModel::new("plumb_bob", 5)),
         opencv: Some(OpencvModel::plain(5)),
         // All but k3.

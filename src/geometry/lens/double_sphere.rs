@@ -51,7 +51,7 @@ impl DistortionModel<2> for DoubleSphere {
     const FACTS: ModelFacts = ModelFacts {
         name: "double_sphere",
         summary: "the double sphere model, for fisheyes: Kalibr's ds",
-        auto_place: None,
+        auto_order: None,
         camera_info: None,
         opencv: None,
         kalibr: Some(KalibrModel { camera: "ds", distortion: "none", coefficients: 0 }),

@@ -36,7 +36,7 @@ impl DistortionModel<2> for Eucm {
     const FACTS: ModelFacts = ModelFacts {
         name: "eucm",
         summary: "the enhanced unified model, for fisheyes: Kalibr's eucm",
-        auto_place: None,
+        auto_order: None,
         camera_info: None,
         opencv: None,
         kalibr: Some(KalibrModel { camera: "eucm", distortion: "none", coefficients: 0 }),

@@ -50,7 +50,7 @@ impl DistortionModel<4> for KannalaBrandt {
         name: "kannala_brandt",
         summary: "OpenCV's fisheye, ROS equidistant",
         // One coefficient less than OpenCV's five, but after them: every program knows those.
-        auto_place: Some(3),
+        auto_order: Some(3),
         camera_info: Some(CameraInfoModel {
             ros: "equidistant",
             foxglove: "kannala_brandt",

@@ -214,7 +214,7 @@ impl LensModel {
 
     /// The models that are compared where the choice is left open, fewest coefficients first.
     pub fn compared() -> impl Iterator<Item = Self> {
-        Self::ALL.into_iter().filter(|model| model.facts().auto_place.is_some())
+        Self::ALL.into_iter().filter(|model| model.facts().auto_order.is_some())
     }
 
     /// Whether each lens of `smaller` is one of this model too, with some coefficients 0.

@@ -73,9 +73,9 @@ pub struct ModelFacts {
     pub name: &'static str,
     /// What it is, in a few words, for the command line's help.
     pub summary: &'static str,
-    /// Its place in the order in which models are preferred where the choice is left open; `None`
+    /// Its rank in the order in which models are preferred where the choice is left open; `None`
     /// for one that is fitted only when it is asked for.
-    pub auto_place: Option<u8>,
+    pub auto_order: Option<u8>,
     /// In `camera_info` messages.
     pub camera_info: Option<CameraInfoModel>,
     /// In OpenCV.

@@ -16,7 +16,7 @@ impl DistortionModel<0> for Pinhole {
     const FACTS: ModelFacts = ModelFacts {
         name: "pinhole",
         summary: "no distortion",
-        auto_place: Some(0),
+        auto_order: Some(0),
         camera_info: Some(CameraInfoModel::new("plumb_bob", 5)),
         opencv: Some(OpencvModel::plain(5)),
         kalibr: Some(KalibrModel::pinhole("none", 0)),

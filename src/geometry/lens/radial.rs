@@ -48,7 +48,7 @@ impl DistortionModel<1> for Radial {
     const FACTS: ModelFacts = ModelFacts {
         name: "radial",
         summary: "one coefficient",
-        auto_place: Some(1),
+        auto_order: Some(1),
         camera_info: Some(CameraInfoModel::new("plumb_bob", 5)),
         opencv: Some(OpencvModel::plain(5)),
         kalibr: Some(KalibrModel::pinhole("radtan", 4)),

@@ -104,7 +104,7 @@ impl DistortionModel<8> for Rational {
     const FACTS: ModelFacts = ModelFacts {
         name: "rational",
         summary: "OpenCV's 8 coefficients, ROS rational_polynomial",
-        auto_place: Some(4),
+        auto_order: Some(4),
         camera_info: Some(CameraInfoModel::new("rational_polynomial", 8)),
         opencv: Some(OpencvModel::plain(8)),
         kalibr: Some(KalibrModel::pinhole("radtan", 4)),

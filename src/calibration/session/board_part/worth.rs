@@ -38,9 +38,9 @@ impl BoardPart {
         (taught, seen)
     }
 
-    /// Whether a view teaches enough to be kept: the place of the view that goes for it, `None`
+    /// Whether a view teaches enough to be kept: the index of the view that goes for it, `None`
     /// while there is room. One of which nothing can be said beforehand is kept: the solve decides.
-    pub(super) fn place_for(
+    pub(super) fn room_for(
         &self,
         frame: &FrameFacts,
         placement: &Placement,
