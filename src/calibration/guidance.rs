@@ -48,8 +48,16 @@ const fn suggest(
     SuggestedPlacement { words, center, size, tilt }
 }
 
+/// How far a tilted board is asked to be tilted, in radians: 34 degrees, of the 20 to 45 that the
+/// verdict asks for where the focal length is weak.
 const TILT_RAD: f64 = 0.6;
+/// The size ([`Placement::size`]) of a board that is neither near nor far: it spans 18 % of the image,
+/// and about a quarter of its width and height it nearly reaches the edges.
 const MEDIUM_SIZE: f64 = 0.42;
+/// Half as large: 5 % of the image.
+const HALF_SIZE: f64 = 0.22;
+/// Nearly all of it: 64 %.
+const FULL_SIZE: f64 = 0.8;
 
 const SUGGESTIONS: [SuggestedPlacement; 15] = [
     suggest("in the middle of the image, facing the camera", [0.5, 0.5], MEDIUM_SIZE, [0.0, 0.0]),
@@ -81,7 +89,12 @@ const SUGGESTIONS: [SuggestedPlacement; 15] = [
     suggest("into the upper right corner of the image", [0.75, 0.25], MEDIUM_SIZE, [0.0, 0.0]),
     suggest("into the lower right corner of the image", [0.75, 0.75], MEDIUM_SIZE, [0.0, 0.0]),
     suggest("into the lower left corner of the image", [0.25, 0.75], MEDIUM_SIZE, [0.0, 0.0]),
-    suggest("nearer to the camera, so that it nearly fills the image", [0.5, 0.5], 0.8, [0.0, 0.0]),
+    suggest(
+        "nearer to the camera, so that it nearly fills the image",
+        [0.5, 0.5],
+        FULL_SIZE,
+        [0.0, 0.0],
+    ),
     suggest(
         "to the left edge, its left side nearer to the camera",
         [0.25, 0.5],
@@ -106,10 +119,12 @@ const SUGGESTIONS: [SuggestedPlacement; 15] = [
         MEDIUM_SIZE,
         [0.0, TILT_RAD],
     ),
-    suggest("farther away, at half its size", [0.5, 0.5], 0.22, [0.35, 0.35]),
+    suggest("farther away, at half its size", [0.5, 0.5], HALF_SIZE, [0.35, 0.35]),
 ];
 
-/// A view within this many steps of a suggested placement fulfills it.
+/// A view within this many steps ([`Placement::steps_to`]) of a suggested placement fulfills it: in
+/// tilt 0.34 rad, little more than half of what is asked for, so that the untilted board fulfills
+/// none of the tilted suggestions. Chosen for operators, not swept.
 const FULFILLED_STEPS: f64 = 1.7;
 
 /// What to do next with the board `target` in images of `size`, given the placements kept so far

@@ -18,9 +18,32 @@ use crate::geometry::median::median;
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
 
-/// A view is left out of the start where its own homography leaves this part of its corners'
-/// spread: a strong fisheye leaves a tenth, labels out of order leave more than half.
+/// A view is left out of the start where the rms of its own homography is this part of its corners'
+/// rms distance from their mean: a strong fisheye leaves a tenth, labels out of order leave more
+/// than half.
 const MISFIT: f64 = 0.25;
+
+/// Pixels of less roundness ([`PixelScatter::roundness`]) are on a line, but for rounding.
+const LEAST_ROUNDNESS: f64 = 1e-6;
+
+/// A relabeling explains a view whose homography then leaves less than this many times what those of
+/// the other views do, or …
+const RELABELED_MEDIANS: f64 = 4.0;
+/// … this part of its corners' rms distance from their mean, of which wrong labels leave half. Neither
+/// was swept.
+const RELABELED_PART: f64 = 0.01;
+
+/// Views on which first lenses are compared, at most. The median of their errors holds with four
+/// wrong ones.
+const COMPARED_VIEWS: usize = 9;
+
+/// A first lens that leaves less than this part of the image's diagonal (4 px at 640 × 480) is near
+/// enough to descend from; the focal lengths below are tried otherwise.
+const GOOD_ENOUGH: f64 = 0.005;
+
+/// Focal lengths tried over the image's longer side: of a lens without distortion 136 to 7 degrees
+/// wide, each 1.3 to 1.7 times the one before. Not swept.
+const TRIED_FOCALS: [f64; 11] = [0.2, 0.28, 0.4, 0.55, 0.75, 1.0, 1.4, 2.0, 3.0, 5.0, 8.0];
 
 /// At least this many corners make a view: a flat pose takes four, two more make errors show.
 const MIN_POINTS: usize = 6;
@@ -41,9 +64,16 @@ pub(crate) struct Prepared {
 /// What a view says by itself.
 pub(crate) struct PreparedView {
     shape: Option<Shape>,
-    /// `pixel_from_plane`, with its rms.
-    homography: Option<(Homography, f64)>,
+    homography: Option<FittedHomography>,
     pub(crate) fault: Option<ViewFault>,
+}
+
+/// The homography that fits a flat view best.
+#[derive(Clone, Copy)]
+struct FittedHomography {
+    pixel_from_plane: Homography,
+    /// What it leaves of the corners.
+    rms_px: f64,
 }
 
 impl Prepared {
@@ -127,10 +157,12 @@ impl Prepared {
     pub(crate) fn pose(&self, view: usize, lens: &Lens) -> Option<Pose> {
         let (prepared, observation) = (&self.views[view], &self.observations[view]);
         let straight = lens.distortion.as_rational() == Some([0.0; 8]);
-        if let (true, Some((homography, _)), Some(Shape::Flat { plane_from_board, .. })) =
+        if let (true, Some(fitted), Some(Shape::Flat { plane_from_board, .. })) =
             (straight, &prepared.homography, &prepared.shape)
         {
-            return Some(zhang::camera_from_board(lens.matrix, homography)? * *plane_from_board);
+            let camera_from_plane =
+                zhang::camera_from_board(lens.matrix, &fitted.pixel_from_plane)?;
+            return Some(camera_from_plane * *plane_from_board);
         }
         let bearings: Vec<_> =
             observation.pixels.iter().map(|pixel| lens.bearing_from_pixel(*pixel)).collect();
@@ -157,17 +189,21 @@ impl PreparedView {
         let Some(shape) = Shape::of(&observation.points) else {
             return faulty(ViewFault::PointsOnLine);
         };
-        if spread_px(&observation.pixels).1 < 1e-6 {
+        let scatter = PixelScatter::of(&observation.pixels);
+        if scatter.roundness < LEAST_ROUNDNESS {
             return faulty(ViewFault::PixelsOnLine);
         }
         let Shape::Flat { .. } = &shape else {
             return Self { shape: Some(shape), homography: None, fault: None };
         };
         let pairs = plane_pairs(&shape, observation);
-        let homography = Homography::fit(&pairs).ok().map(|h| (h, h.rms(&pairs)));
-        let spread = spread_px(&observation.pixels).0;
-        let rms_px = homography.as_ref().map_or(spread, |(_, rms_px)| rms_px.min(spread));
-        let fault = (rms_px > MISFIT * spread).then_some(ViewFault::NoPose { rms_px });
+        let homography = Homography::fit(&pairs).ok().map(|pixel_from_plane| FittedHomography {
+            pixel_from_plane,
+            rms_px: pixel_from_plane.rms(&pairs),
+        });
+        let extent_px = scatter.rms_px;
+        let rms_px = homography.map_or(extent_px, |fitted| fitted.rms_px.min(extent_px));
+        let fault = (rms_px > MISFIT * extent_px).then_some(ViewFault::NoPose { rms_px });
         Self { shape: Some(shape), homography, fault }
     }
 }
@@ -177,7 +213,7 @@ impl PreparedView {
 fn name_mislabeled(observations: &[BoardObservation], views: &mut [PreparedView]) {
     let good = views.iter().filter(|view| view.fault.is_none());
     let Some(typical_px) =
-        median(good.filter_map(|view| view.homography.map(|(_, rms)| rms)).collect())
+        median(good.filter_map(|view| view.homography.map(|fitted| fitted.rms_px)).collect())
     else {
         return;
     };
@@ -187,7 +223,8 @@ fn name_mislabeled(observations: &[BoardObservation], views: &mut [PreparedView]
         };
         let Shape::Flat { plane_from_board, .. } = shape else { continue };
         let on_plane: Vec<_> = observation.points.iter().map(|p| *plane_from_board * *p).collect();
-        let limit_px = (4.0 * typical_px).max(0.01 * spread_px(&observation.pixels).0);
+        let extent_px = PixelScatter::of(&observation.pixels).rms_px;
+        let limit_px = (RELABELED_MEDIANS * typical_px).max(RELABELED_PART * extent_px);
         view.fault = mislabeling(&on_plane, &observation.pixels, limit_px).or(view.fault);
     }
 }
@@ -206,43 +243,59 @@ fn plane_pairs(shape: &Shape, observation: &BoardObservation) -> Vec<(Point2<f64
     }
 }
 
-/// The rms distance from the mean, and the ratio of the lesser to the greater principal spread.
-fn spread_px(pixels: &[Pixel]) -> (f64, f64) {
-    let n = pixels.len() as f64;
-    let (sx, sy) = pixels.iter().fold((0.0, 0.0), |(x, y), p| (x + p.x, y + p.y));
-    let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
-    for p in pixels {
-        let (dx, dy) = (p.x - sx / n, p.y - sy / n);
-        xx += dx * dx;
-        xy += dx * dy;
-        yy += dy * dy;
+/// How pixels lie about their mean.
+#[derive(Clone, Copy)]
+struct PixelScatter {
+    /// Their rms distance from it.
+    rms_px: f64,
+    /// The root of the determinant of their scatter matrix over its trace: 0 on a line, ½ where they
+    /// reach as far in every direction.
+    roundness: f64,
+}
+
+impl PixelScatter {
+    fn of(pixels: &[Pixel]) -> Self {
+        let n = pixels.len() as f64;
+        let (sx, sy) = pixels.iter().fold((0.0, 0.0), |(x, y), p| (x + p.x, y + p.y));
+        let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+        for p in pixels {
+            let (dx, dy) = (p.x - sx / n, p.y - sy / n);
+            xx += dx * dx;
+            xy += dx * dy;
+            yy += dy * dy;
+        }
+        let (trace, determinant) = (xx + yy, (xx * yy - xy * xy).max(0.0));
+        Self {
+            rms_px: (trace / n).sqrt(),
+            roundness: if trace > 0.0 { determinant.sqrt() / trace } else { 0.0 },
+        }
     }
-    let (trace, area) = (xx + yy, (xx * yy - xy * xy).max(0.0));
-    ((trace / n).sqrt(), if trace > 0.0 { area.sqrt() / trace } else { 0.0 })
 }
 
 /// A first lens of `model` and the poses of the usable views, about the common center; a view
 /// without a pose gets the fault that says so. `None` where not one view has a pose.
 pub(crate) fn start(prepared: &mut Prepared, model: LensModel) -> Option<State> {
     let usable = prepared.usable();
-    let homographies: Vec<_> =
-        usable.iter().filter_map(|v| Some(prepared.views[*v].homography?.0)).collect();
+    let homographies: Vec<_> = usable
+        .iter()
+        .filter_map(|v| Some(prepared.views[*v].homography?.pixel_from_plane))
+        .collect();
     let mut candidates: Vec<CameraMatrix> = Vec::new();
     candidates.extend(zhang::camera_matrix(&homographies, prepared.image_size, Skew::Zero).ok());
     candidates.retain(|matrix| is_plausible(matrix, prepared.image_size));
     candidates.extend(
         median_focal(&homographies, prepared.image_size).map(|f| centered(prepared.image_size, f)),
     );
-    let few = sample(&usable, 9);
+    let few = sample(&usable, COMPARED_VIEWS);
     let lens_of = |matrix| undistorted(model, matrix);
     let score = |matrix: &CameraMatrix| misfit_px(prepared, &few, &lens_of(*matrix));
     let mut scored: Vec<_> =
         candidates.into_iter().map(|matrix| (score(&matrix), matrix)).collect();
     scored.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let good_enough_px = 0.005 * prepared.image_size.diagonal_px();
+    let good_enough_px = GOOD_ENOUGH * prepared.image_size.diagonal_px();
     if scored.first().is_none_or(|(px, _)| !(*px < good_enough_px)) {
         let width = f64::from(prepared.image_size.width.max(prepared.image_size.height));
-        for factor in [0.2, 0.28, 0.4, 0.55, 0.75, 1.0, 1.4, 2.0, 3.0, 5.0, 8.0] {
+        for factor in TRIED_FOCALS {
             let matrix = centered(prepared.image_size, factor * width);
             scored.push((score(&matrix), matrix));
         }

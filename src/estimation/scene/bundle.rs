@@ -101,7 +101,15 @@ pub struct BundleStop {
     pub least_decrease: f64,
 }
 
+/// Marquardt's λ at first, a part of each diagonal element: nearly a step of Gauss and Newton, since
+/// resection and triangulation start near the minimum. Not swept.
 const START_DAMPING: f64 = 1e-4;
+/// What λ is multiplied by after a step that raises the cost, and divided by after one that lowers
+/// it (D. Marquardt, 1963).
+const DAMPING_FACTOR: f64 = 10.0;
+/// λ is lowered no further, so that a few raises bring it back.
+const MIN_DAMPING: f64 = 1e-9;
+/// With more λ a step is below rounding: nothing lowers the cost.
 const MAX_DAMPING: f64 = 1e8;
 
 impl Bundle {
@@ -271,7 +279,7 @@ impl Bundle {
             let next = self.step(&state, &reduced).map(|next| self.with_points_moved(next));
             let next = next.map(|next| (self.cost(&next), next));
             let Some((next_cost, next)) = next.filter(|(next_cost, _)| *next_cost < cost) else {
-                damping *= 10.0;
+                damping *= DAMPING_FACTOR;
                 was_raised = true;
                 if damping > MAX_DAMPING {
                     break;
@@ -282,7 +290,7 @@ impl Bundle {
             (state, cost) = (next, next_cost);
             // What has just failed would fail again.
             if !was_raised {
-                damping = (damping * 0.1).max(1e-9);
+                damping = (damping * 0.1).max(MIN_DAMPING);
             }
             was_raised = false;
             if settled {
