@@ -70,7 +70,7 @@ pub struct CheckedRange {
     /// Its standard deviation by how views differ, in meters; infinite for a single one.
     pub bias_std_m: f64,
     /// The robust standard deviation of patches about the bias, in meters.
-    pub spread_m: f64,
+    pub robust_std_m: f64,
     /// What the calibration predicts for it, in meters.
     pub calibrated_m: f64,
     /// Views with patches here.
@@ -230,7 +230,7 @@ fn range(
         seen_m: [distances().fold(f64::INFINITY, f64::min), distances().fold(0.0, f64::max)],
         bias_m,
         bias_std_m: median_std(&of_views),
-        spread_m: SIGMA_PER_MAD * median(absolute)?,
+        robust_std_m: SIGMA_PER_MAD * median(absolute)?,
         calibrated_m: median(stds)?,
         views: views.len(),
         patches: all.len(),

@@ -185,8 +185,8 @@ fn depth_not_used(solved: &SolvedRgbd, views: usize) -> Option<String> {
 /// cameras err by 1 or 2 parts in a hundred.
 const REPORTED_ABOVE: f64 = 0.03;
 
-/// A wrong unit or a wrong square gives the same factor in every view: its spread is less than this
-/// part of its difference from 1.
+/// A wrong unit or a wrong square gives the same factor in every view: the median by which views
+/// deviate from it is less than this part of its difference from 1.
 const SAME_FACTOR: f64 = 0.3;
 
 /// Whether depth differs from the board by one factor in all views, as it does with a wrong unit of
@@ -199,8 +199,8 @@ fn scale_doubt(joint: &RgbdEstimate, board: &Target) -> Option<String> {
     let of_views: Vec<f64> = joint.judged.iter().filter_map(factor_of).collect();
     let factor = median(of_views.clone())?;
     let off = (factor - 1.0).abs();
-    let spread = median(of_views.iter().map(|one| (one - factor).abs()).collect())?;
-    if off < REPORTED_ABOVE || spread > SAME_FACTOR * off {
+    let deviation = median(of_views.iter().map(|one| (one - factor).abs()).collect())?;
+    if off < REPORTED_ABOVE || deviation > SAME_FACTOR * off {
         return None;
     }
     let percent = 100.0 * (factor - 1.0);

@@ -12,8 +12,8 @@ use crate::geometry::median::median;
 /// Depth this many times the board's distance, or less than one part in this, has another unit.
 const UNIT_LIMIT: f64 = 1.2;
 
-/// How much that may differ between patches for all that, as a part of it, in the middle.
-const UNIT_SPREAD: f64 = 0.1;
+/// The median by which patches may deviate from that factor for all that, as a part of it.
+const UNIT_DEVIATION: f64 = 0.1;
 
 /// At least this part of the patches follows a board.
 const LEAST_FOLLOWING: f64 = 0.6;
@@ -22,8 +22,10 @@ const LEAST_FOLLOWING: f64 = 0.6;
 /// all patches.
 const MOST_LEFT: f64 = 0.02;
 
-/// Greatest distance between sensors of one device, in meters, and greatest rotation, in degrees.
-const FURTHEST: (f64, f64) = (0.5, 45.0);
+/// The greatest distance between sensors of one device, in meters, …
+const FARTHEST_M: f64 = 0.5;
+/// … and the greatest rotation between them, in degrees.
+const MOST_ROTATED_DEG: f64 = 45.0;
 
 /// # Errors
 /// [`RgbdError`]: another unit, depth that does not follow the board, a lens that no depth camera has,
@@ -32,11 +34,12 @@ pub(super) fn check_joint(joint: &RgbdEstimate, lens_from: DepthLens) -> Result<
     let tiles = || joint.judged.iter().flatten();
     let factors = || tiles().map(|judged| judged.plane / judged.tile.inverse_depth);
     let factor = median(factors().collect()).unwrap_or(1.0);
-    let spread = median(factors().map(|one| (one / factor - 1.0).abs()).collect()).unwrap_or(0.0);
+    let deviation =
+        median(factors().map(|one| (one / factor - 1.0).abs()).collect()).unwrap_or(0.0);
     let wrong_unit = !(1.0 / UNIT_LIMIT..UNIT_LIMIT).contains(&factor);
     if wrong_unit && matches!(joint.depth.reading, DepthReading::Metric { .. }) {
         // Another unit is the same factor everywhere; another scene is not.
-        return Err(match spread < UNIT_SPREAD {
+        return Err(match deviation < UNIT_DEVIATION {
             true => RgbdError::Unit { factor, factor_inverse: 1.0 / factor },
             false => RgbdError::Disagree { percent: 100.0 },
         });
@@ -63,7 +66,7 @@ pub(super) fn check_joint(joint: &RgbdEstimate, lens_from: DepthLens) -> Result<
     }
     let pose = &joint.color_from_depth;
     let (distance_m, degrees) = (pose.translation().norm(), pose.rotation().angle().to_degrees());
-    if distance_m > FURTHEST.0 || degrees > FURTHEST.1 {
+    if distance_m > FARTHEST_M || degrees > MOST_ROTATED_DEG {
         return Err(RgbdError::SensorsTooDistant { distance_m, degrees });
     }
     Ok(())

@@ -115,7 +115,7 @@ impl VerifiedDepth {
             seen_m: range.seen_m,
             bias_m: range.bias_m,
             bias_std_m: range.bias_std_m.is_finite().then_some(range.bias_std_m),
-            spread_m: range.spread_m,
+            spread_m: range.robust_std_m,
             allowed_m: range.allowed_m(),
             views: range.views,
         };

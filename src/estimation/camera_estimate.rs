@@ -140,8 +140,8 @@ pub(crate) fn assemble(
     };
     let variance_inflation = of_lens.factor;
     let variance = noise2 * variance_inflation;
-    let (spread, free) = (at.lens.spread(&lens), at.lens.free.len());
-    let mut lens_covariance = &spread * of_lens.covariance * spread.transpose();
+    let (by_free, free) = (at.lens.all_by_free(&lens), at.lens.free.len());
+    let mut lens_covariance = &by_free * of_lens.covariance * by_free.transpose();
     if let Some(doubt) = &fit.shutter_doubt {
         // How views differ has the shutter's part in it.
         lens_covariance += doubt * doubt.transpose() * (1.0 - of_lens.weight);
@@ -152,7 +152,7 @@ pub(crate) fn assemble(
     let of_lens = unit.view((at.lens_at, at.lens_at), (free, free));
     for axis in [0, 1] {
         // Exact corners must not make a lens known that a hundredth of a pixel would leave open.
-        let of_unit_noise = spread.row(axis) * of_lens * spread.row(axis).transpose();
+        let of_unit_noise = by_free.row(axis) * of_lens * by_free.row(axis).transpose();
         let std = (of_unit_noise[(0, 0)] * variance_inflation).sqrt()
             * noise2.sqrt().max(LEAST_NOISE / part.noise);
         if !(std < OPEN_FOCAL * lens.parameters()[axis]) {

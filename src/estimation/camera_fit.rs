@@ -81,11 +81,11 @@ impl CameraFit {
     pub(crate) fn lens_covariance(&self) -> Option<DMatrix<f64>> {
         let free = &self.layout.sensors[0].lens;
         let unit = self.robust.minimum.equations.global_covariance()?;
-        let spread = free.spread(self.lens());
+        let by_free = free.all_by_free(self.lens());
         let unit = unit.view((0, 0), (free.free.len(), free.free.len()));
-        let covariance = &spread
+        let covariance = &by_free
             * unit
-            * spread.transpose()
+            * by_free.transpose()
             * self.noise_square().max(LEAST_NOISE * LEAST_NOISE);
         let known = |axis: usize| {
             covariance[(axis, axis)].sqrt() < OPEN_FOCAL * self.lens().parameters()[axis]

@@ -7,7 +7,7 @@
 //! Each view (of a rig: what all sensors saw at one frame set) asks for a step of the parameters, δ
 //! = C s (its score s, its pose eliminated, with the covariance C for unit noise), whose covariance
 //! is C A C if corners err by themselves, A being the view's part of the information. Without the
-//! view the estimate would move by (1 − C A)⁻¹ δ. The spread of these over the views is the
+//! view the estimate would move by (1 − C A)⁻¹ δ. The scatter of these over the views is the
 //! clustered covariance (K.-Y. Liang, S. L. Zeger, *Longitudinal data analysis using generalized
 //! linear models*, 1986, in the form CR3 of R. M. Bell and D. F. McCaffrey, 2002: the jackknife over
 //! views, to first order). With few views it is itself uncertain, so it counts the more the better
@@ -22,7 +22,7 @@ use crate::estimation::joint::minimize::Minimum;
 use crate::estimation::joint::per_observation::assemble;
 use crate::estimation::robust_fit::ROUNDING;
 
-/// Minimum number of views for an estimate of their spread.
+/// Minimum number of views for an estimate of their scatter.
 const MIN_VIEWS: usize = 5;
 
 /// An excess of the squares of steps within this many standard deviations is attributed to chance
@@ -273,13 +273,17 @@ fn combined(
     let beyond = excess - CHANCE * std;
     let weight = beyond / (beyond + EVEN_ODDS * std);
     let factor = 1.0 + excess * weight;
-    let by_views = spread(influences, &without()?, views);
+    let by_views = jackknife_covariance(influences, &without()?, views);
     let covariance = unit * ((1.0 - weight) * factor * noise_square) + by_views * weight;
     covariance.iter().all(|v| v.is_finite()).then_some(Clustered { covariance, factor, weight })
 }
 
-/// The jackknife covariance.
-fn spread(influences: &[Influence], without: &[DVector<f64>], views: usize) -> DMatrix<f64> {
+/// The covariance of the estimate by the steps that leave one view out.
+fn jackknife_covariance(
+    influences: &[Influence],
+    without: &[DVector<f64>],
+    views: usize,
+) -> DMatrix<f64> {
     let corrected: Vec<DVector<f64>> = influences
         .iter()
         .zip(without)
@@ -290,13 +294,13 @@ fn spread(influences: &[Influence], without: &[DVector<f64>], views: usize) -> D
         .collect();
     let (count, size) = (corrected.len() as f64, corrected[0].len());
     let mean = corrected.iter().sum::<DVector<f64>>() / count;
-    let mut spread = DMatrix::zeros(size, size);
+    let mut scatter = DMatrix::zeros(size, size);
     for step in &corrected {
         let off = step - &mean;
-        spread += &off * off.transpose();
+        scatter += &off * off.transpose();
     }
     // Each of all the views moves the estimate as the sampled ones do.
-    spread * ((count - 1.0) / count * (views as f64 / count))
+    scatter * ((count - 1.0) / count * (views as f64 / count))
 }
 
 #[cfg(test)]

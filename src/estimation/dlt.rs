@@ -57,12 +57,12 @@ pub fn projection_matrix(seen: &[Correspondence]) -> Result<Matrix3x4<f64>, Esti
         return Err(EstimationError::Coplanar);
     }
     let middle = seen.iter().map(|c| c.pixel.to_vector()).sum::<nalgebra::Vector2<f64>>() / n;
-    let spread =
+    let mean_square_px2 =
         seen.iter().map(|c| (c.pixel.to_vector() - middle).norm_squared()).sum::<f64>() / n;
-    if !(spread > 0.0) {
+    if !(mean_square_px2 > 0.0) {
         return Err(EstimationError::Coplanar);
     }
-    let (to_unit, to_unit_px) = ((3.0 / scatter.trace()).sqrt(), (2.0 / spread).sqrt());
+    let (to_unit, to_unit_px) = ((3.0 / scatter.trace()).sqrt(), (2.0 / mean_square_px2).sqrt());
     let mut rows = DMatrix::zeros(2 * seen.len(), 12);
     for (k, c) in seen.iter().enumerate() {
         let point = ((c.point_in_board.coords - center) * to_unit).push(1.0);

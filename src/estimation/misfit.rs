@@ -237,7 +237,7 @@ fn linearized(fit: &CameraFit, view: usize, extra: Extra) -> Option<(DMatrix<f64
     let pose = fit.robust.minimum.state.rig_from_board[observation.frame_set];
     let (rotation, half) = (pose.rotation_matrix(), board_half_extent(fit));
     let used: Vec<usize> = (0..observation.points.len()).filter(|k| observation.used[*k]).collect();
-    let spread = fit.layout.sensors[0].lens.spread(lens);
+    let by_free = fit.layout.sensors[0].lens.all_by_free(lens);
     let columns = fit.layout.len + extra.shape + extra.per_view();
     let (mut jacobian, mut residual) =
         (DMatrix::zeros(2 * used.len(), columns), DVector::zeros(2 * used.len()));
@@ -249,7 +249,7 @@ fn linearized(fit: &CameraFit, view: usize, extra: Extra) -> Option<(DMatrix<f64
         let by_point: Matrix2x3<f64> = projection.by_point * weight;
         residual[2 * row] = (projection.pixel.x - seen.x) * weight;
         residual[2 * row + 1] = (projection.pixel.y - seen.y) * weight;
-        let by_lens = projection.by_parameters.columns(0, spread.nrows()) * &spread * weight;
+        let by_lens = projection.by_parameters.columns(0, by_free.nrows()) * &by_free * weight;
         let mut moved = Matrix3xX::zeros(columns - fit.layout.len);
         let normal = rotation.column(2).into_owned();
         for (column, height) in shape_at(&point, half).into_iter().take(extra.shape).enumerate() {

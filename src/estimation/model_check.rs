@@ -225,6 +225,6 @@ fn lens_covariance(
     let half = of(half)?;
     let half = &widened * scaled(&|i, j| half[(i, j)]) * widened.transpose();
     let half = DMatrix::from_fn(size, size, |i, j| half[(i, j)] * scale[i] * scale[j]);
-    let spread = lens.spread(&estimate.lens);
-    Some(&spread * half * spread.transpose())
+    let by_free = lens.all_by_free(&estimate.lens);
+    Some(&by_free * half * by_free.transpose())
 }

@@ -94,10 +94,10 @@ impl Seen {
 
 /// −ln of the likelihood, up to a constant, at the likeliest k.
 fn negative_log_likelihood(seen: &[Seen], common: f64) -> f64 {
-    let (mut level, mut spread) = (0.0, 0.0);
+    let (mut level, mut log_determinant) = (0.0, 0.0);
     for Seen { variance, square } in seen {
         level += square / (variance + common);
-        spread += (variance + common).ln();
+        log_determinant += (variance + common).ln();
     }
-    seen.len() as f64 * level.ln() + spread
+    seen.len() as f64 * level.ln() + log_determinant
 }

@@ -37,8 +37,8 @@ pub(crate) fn nearest_from(
     free: &FreeLens,
     seen_in_camera: &[(Point3<f64>, f64)],
 ) -> Option<Lens> {
-    let spread = free.spread(&near);
-    let (all, size) = spread.shape();
+    let by_free = free.all_by_free(&near);
+    let (all, size) = by_free.shape();
     for _ in 0..STEPS {
         let mut square = SMatrix::<f64, MAX_PARAMETERS, MAX_PARAMETERS>::zeros();
         let mut right = SVector::<f64, MAX_PARAMETERS>::zeros();
@@ -48,8 +48,8 @@ pub(crate) fn nearest_from(
             square += now.by_parameters.tr_mul(&now.by_parameters) * *weight;
             right += now.by_parameters.tr_mul(&miss) * *weight;
         }
-        let square = spread.transpose() * square.view((0, 0), (all, all)) * &spread;
-        let right = spread.transpose() * right.rows(0, all);
+        let square = by_free.transpose() * square.view((0, 0), (all, all)) * &by_free;
+        let right = by_free.transpose() * right.rows(0, all);
         // Parameters differ by orders of magnitude: in units of their own strength.
         let scale = square.diagonal().map(|d| 1.0 / d.max(f64::MIN_POSITIVE).sqrt());
         let right = right.component_mul(&scale);
@@ -60,7 +60,7 @@ pub(crate) fn nearest_from(
             square[(i, j)] * scale[i] * scale[j] + if i == j { DAMPING } else { 0.0 }
         });
         let step = scaled.cholesky()?.solve(&right).component_mul(&scale);
-        let step = &spread * step;
+        let step = &by_free * step;
         let parameters: Vec<f64> =
             near.parameters().iter().zip(&step).map(|(now, step)| now + step).collect();
         near = Lens::from_parameters(free.model, &parameters)?;

@@ -62,11 +62,10 @@ impl Shape {
             return None;
         }
         if !tilted {
-            let spread = scatter[(0, 0)] + scatter[(1, 1)];
+            let trace = scatter[(0, 0)] + scatter[(1, 1)];
             let area = scatter[(0, 0)] * scatter[(1, 1)] - scatter[(0, 1)] * scatter[(0, 1)];
             let plane_from_board = Pose::new(nalgebra::UnitQuaternion::identity(), -center.coords);
-            return (area > 1e-8 * spread * spread)
-                .then_some(Self::Flat { plane_from_board, scale });
+            return (area > 1e-8 * trace * trace).then_some(Self::Flat { plane_from_board, scale });
         }
         let eigen = scatter.symmetric_eigen();
         let mut order = [0, 1, 2];

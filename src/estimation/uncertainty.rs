@@ -165,9 +165,9 @@ impl ProjectionSamples {
         let padded = padded(covariance);
         let mut weights: Vec<f64> =
             samples.iter().map(|sample| f64::from(u8::from(sample.is_some()))).collect();
-        let mut spreads = spreads(samples, &weights, (&padded, *distance))?;
+        let mut covariances = projection_covariances(samples, &weights, (&padded, *distance))?;
         for _ in 0..MAX_ROUNDS {
-            let next = weights_of(&spreads);
+            let next = weights_of(&covariances);
             let settled = next
                 .iter()
                 .zip(&weights)
@@ -176,9 +176,9 @@ impl ProjectionSamples {
                 break;
             }
             weights = next;
-            spreads = self::spreads(samples, &weights, (&padded, *distance))?;
+            covariances = projection_covariances(samples, &weights, (&padded, *distance))?;
         }
-        Some(map_of(*grid, spreads, weights))
+        Some(map_of(*grid, covariances, weights))
     }
 
     /// The same samples after the motion that compensates with the weights of `map`: to compare many
@@ -210,9 +210,10 @@ impl CompensatedSamples {
     /// multiples, and near it for others.
     pub fn uncertainty(&self, covariance: &DMatrix<f64>) -> UncertaintyMap {
         let covariance = padded(covariance);
-        let spread = |rest: &SMatrix<f64, 2, MAX_PARAMETERS>| rest * covariance * rest.transpose();
-        let spreads = self.rests.iter().map(|rest| rest.as_ref().map(spread)).collect();
-        map_of(self.grid, spreads, self.weights.clone())
+        let of_pixel =
+            |rest: &SMatrix<f64, 2, MAX_PARAMETERS>| rest * covariance * rest.transpose();
+        let covariances = self.rests.iter().map(|rest| rest.as_ref().map(of_pixel)).collect();
+        map_of(self.grid, covariances, self.weights.clone())
     }
 }
 
@@ -226,18 +227,18 @@ fn padded(covariance: &DMatrix<f64>) -> SMatrix<f64, MAX_PARAMETERS, MAX_PARAMET
 
 fn map_of(
     grid: PixelGrid,
-    spreads: Vec<Option<Matrix2<f64>>>,
+    covariances: Vec<Option<Matrix2<f64>>>,
     weights: Vec<f64>,
 ) -> UncertaintyMap {
-    let worst_direction = |spread: &Matrix2<f64>| {
-        let half_gap = (0.5 * (spread[(0, 0)] - spread[(1, 1)])).hypot(spread[(0, 1)]);
-        (0.5 * spread.trace() + half_gap).max(0.0).sqrt()
+    let worst_direction = |covariance: &Matrix2<f64>| {
+        let half_gap = (0.5 * (covariance[(0, 0)] - covariance[(1, 1)])).hypot(covariance[(0, 1)]);
+        (0.5 * covariance.trace() + half_gap).max(0.0).sqrt()
     };
     UncertaintyMap {
         grid,
-        std_px: spreads.iter().map(|spread| spread.as_ref().map(worst_direction)).collect(),
-        square_px2: spreads.iter().map(|spread| spread.as_ref().map(Matrix2::trace)).collect(),
-        covariance_px2: spreads,
+        std_px: covariances.iter().map(|pixel| pixel.as_ref().map(worst_direction)).collect(),
+        square_px2: covariances.iter().map(|pixel| pixel.as_ref().map(Matrix2::trace)).collect(),
+        covariance_px2: covariances,
         weights,
     }
 }
@@ -255,17 +256,17 @@ pub fn projection_uncertainty(
 }
 
 /// The covariance of each sample's projection after the compensating motion that suits `weights`.
-fn spreads(
+fn projection_covariances(
     samples: &[Option<Sample>],
     weights: &[f64],
     (covariance, distance): (&SMatrix<f64, MAX_PARAMETERS, MAX_PARAMETERS>, Distance),
 ) -> Option<Vec<Option<Matrix2<f64>>>> {
     let compensation = compensation(samples, weights, distance)?;
-    let spread = |sample: &Sample| {
+    let of_sample = |sample: &Sample| {
         let rest = sample.by_parameters - sample.by_motion * compensation;
         rest * covariance * rest.transpose()
     };
-    Some(samples.iter().map(|sample| sample.as_ref().map(spread)).collect())
+    Some(samples.iter().map(|sample| sample.as_ref().map(of_sample)).collect())
 }
 
 /// The compensating motion that suits `weights`, by the lens's parameters.
@@ -287,13 +288,13 @@ fn compensation(
 
 /// 1 for pixels that are known at most [`FAR_WORSE`] times worse than the median, then falling with
 /// the variance.
-fn weights_of(spreads: &[Option<Matrix2<f64>>]) -> Vec<f64> {
-    let mut variances: Vec<f64> = spreads.iter().flatten().map(Matrix2::trace).collect();
-    let Some(median) = median_of(&mut variances) else { return vec![0.0; spreads.len()] };
+fn weights_of(covariances: &[Option<Matrix2<f64>>]) -> Vec<f64> {
+    let mut variances: Vec<f64> = covariances.iter().flatten().map(Matrix2::trace).collect();
+    let Some(median) = median_of(&mut variances) else { return vec![0.0; covariances.len()] };
     let limit = median * FAR_WORSE * FAR_WORSE;
     let weight =
-        |spread: &Matrix2<f64>| if spread.trace() > limit { limit / spread.trace() } else { 1.0 };
-    spreads.iter().map(|spread| spread.as_ref().map_or(0.0, weight)).collect()
+        |pixel: &Matrix2<f64>| if pixel.trace() > limit { limit / pixel.trace() } else { 1.0 };
+    covariances.iter().map(|pixel| pixel.as_ref().map_or(0.0, weight)).collect()
 }
 
 /// Where `second` projects what `first` sees at each pixel of the grid, minus that pixel, after the

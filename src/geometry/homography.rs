@@ -201,9 +201,9 @@ impl Normalization {
             xy += d.x * d.y;
             yy += d.y * d.y;
         }
-        let spread = xx + yy;
-        let spans_a_plane = xx * yy - xy * xy > 1e-10 * spread * spread;
-        (spread > 0.0 && spans_a_plane).then(|| Self { center, scale: (2.0 * n / spread).sqrt() })
+        let trace = xx + yy;
+        let spans_a_plane = xx * yy - xy * xy > 1e-10 * trace * trace;
+        (trace > 0.0 && spans_a_plane).then(|| Self { center, scale: (2.0 * n / trace).sqrt() })
     }
 
     fn apply(self, point: Point2<f64>) -> (f64, f64) {

@@ -20,15 +20,15 @@ pub fn median_of(values: &mut [f64]) -> Option<f64> {
 /// Of these poses the one with the least median distance to all (radians plus meters); `None` of
 /// none.
 pub fn median_pose(a_from_b: &[Pose]) -> Option<Pose> {
-    let spread = |a_from_candidate: &Pose| {
+    let median_distance = |a_from_candidate: &Pose| {
         let distance = |other: &Pose| {
             let translation_m = (other.translation() - a_from_candidate.translation()).norm();
             other.angle_to(a_from_candidate) + translation_m
         };
         median(a_from_b.iter().map(distance).collect()).unwrap_or(f64::INFINITY)
     };
-    let spreads = a_from_b.iter().map(|one| (spread(one), one));
-    spreads.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, pose)| *pose)
+    let each = a_from_b.iter().map(|one| (median_distance(one), one));
+    each.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, pose)| *pose)
 }
 
 #[cfg(test)]

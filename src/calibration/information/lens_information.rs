@@ -79,12 +79,12 @@ impl LensInformation {
     /// The covariance of all of the lens's parameters, in the order of [`Lens::parameter_names`];
     /// zero rows for those that are not open. `None` where it is not determined.
     pub fn covariance(&self) -> Option<DMatrix<f64>> {
-        spread_out(&self.lens, &self.free, &inverse(&self.matrix)?)
+        over_all(&self.lens, &self.free, &inverse(&self.matrix)?)
     }
 
     /// As [`Self::covariance`], with the information of `view` in it.
     pub fn covariance_with(&self, view: &DMatrix<f64>) -> Option<DMatrix<f64>> {
-        spread_out(&self.lens, &self.free, &inverse(&(&self.matrix + view))?)
+        over_all(&self.lens, &self.free, &inverse(&(&self.matrix + view))?)
     }
 }
 
@@ -93,7 +93,8 @@ pub fn open_parameters(model: LensModel) -> Vec<usize> {
     (0..Lens::parameter_names(model).len()).filter(|index| *index != 4).collect()
 }
 
-fn spread_out(lens: &Lens, free: &[usize], of_free: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+/// A covariance of the free parameters as one of all; `None` where it is not finite.
+fn over_all(lens: &Lens, free: &[usize], of_free: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let count = lens.parameters().len();
     let mut covariance = DMatrix::zeros(count, count);
     for (i, row) in free.iter().enumerate() {

@@ -197,9 +197,9 @@ fn transfers_have_the_uncertainty_of_numeric_derivatives() {
             let in_b = transferred([&a, &b], &known.b_from_a, (pixel, 0.6));
             if in_b.is_some_and(|pixel| SIZE.contains(pixel)) {
                 let jacobian = numeric(known.matrix.nrows(), at);
-                let spread = &jacobian * &covariance * jacobian.transpose();
+                let of_pixel = &jacobian * &covariance * jacobian.transpose();
                 let is_whole = jacobian.iter().all(|value| value.is_finite());
-                expected.push(is_whole.then(|| spread.symmetric_eigenvalues().max().sqrt()));
+                expected.push(is_whole.then(|| of_pixel.symmetric_eigenvalues().max().sqrt()));
             }
         }
         let std_px = goal.std_px(&known.matrix).unwrap();

@@ -20,7 +20,8 @@ pub struct SceneConditions {
     /// The widest rotation about the optical axis between two cameras that see a point both, in
     /// degrees.
     pub rolled_deg: f64,
-    /// The distance of points from their common plane (root mean square), over their spread in it.
+    /// The distance of points from their common plane over that from their mean along the shorter
+    /// axis in it, both root mean squares.
     pub relief: f64,
 }
 
@@ -111,7 +112,7 @@ fn relief(points: &[Point3<f64>]) -> f64 {
         let d = point.coords - mean;
         scatter += d * d.transpose();
     }
-    let mut spreads: Vec<f64> = scatter.symmetric_eigenvalues().iter().copied().collect();
-    spreads.sort_by(f64::total_cmp);
-    (spreads[0].max(0.0) / spreads[1].max(f64::MIN_POSITIVE)).sqrt()
+    let mut squares: Vec<f64> = scatter.symmetric_eigenvalues().iter().copied().collect();
+    squares.sort_by(f64::total_cmp);
+    (squares[0].max(0.0) / squares[1].max(f64::MIN_POSITIVE)).sqrt()
 }

@@ -103,9 +103,9 @@ const LEAST_NOISE_PX: f64 = 0.2;
 /// Fewer readings, or of fewer images, do not show how they differ.
 const LEAST_READINGS: usize = 30;
 const LEAST_VIEWS: usize = 3;
-/// Ratios that scatter by more, as a part of themselves, are not of one scene: depth cameras measure
+/// Ratios with a greater standard deviation, as a part of themselves, are not of one scene: depth cameras measure
 /// to some per cent.
-const LARGEST_SPREAD: f64 = 0.1;
+const LARGEST_STD: f64 = 0.1;
 /// What depth cameras measure, in meters, with room to both sides.
 const PLAUSIBLE_M: [f64; 2] = [0.03, 100.0];
 /// How often scale and places are found alternately: sensors are a hundredth of the depth from each
@@ -171,12 +171,12 @@ fn scale_of(scene: &SceneCalibration, depth: &SceneDepth) -> Result<(f64, SceneS
         views: estimate.map_or(usize::from(!readings.is_empty()), |estimate| estimate.views),
     };
     let (unit_m, estimate) = unit_m.zip(estimate).ok_or(too_few)?;
-    let ScaleEstimate { log_ratio, relative_std, spread, readings: used, views, .. } = estimate;
+    let ScaleEstimate { log_ratio, relative_std, robust_std, readings: used, views, .. } = estimate;
     if used < LEAST_READINGS || views < LEAST_VIEWS {
         return Err(too_few);
     }
-    if !(spread < LARGEST_SPREAD) {
-        return Err(NoScale::Disagrees { percent: 100.0 * spread });
+    if !(robust_std < LARGEST_STD) {
+        return Err(NoScale::Disagrees { percent: 100.0 * robust_std });
     }
     let unit_m = unit_m * log_ratio.exp();
     let distance_m = unit_m * found.median_depth();

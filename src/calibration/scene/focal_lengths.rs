@@ -16,8 +16,8 @@ pub(super) struct OtherFocals {
     pub poses: Vec<usize>,
     /// Their focal length over that of the others.
     pub ratio: f64,
-    /// Of the focal lengths of all images, as a part of them.
-    pub spread: f64,
+    /// The standard deviation of the focal lengths of all images, as a part of them.
+    pub relative_std: f64,
 }
 
 /// Less of a difference, as a part of the focal length, is nothing to act on: the image of a lens
@@ -44,14 +44,14 @@ pub(super) fn other_focals(start: &Reconstruction, fit: &LensFit) -> Option<Othe
         return None;
     }
     let mean = found.log_ratios.mean();
-    let spread = found.log_ratios.map(|v| (v - mean).powi(2)).mean().sqrt();
+    let relative_std = found.log_ratios.map(|v| (v - mean).powi(2)).mean().sqrt();
     let (poses, log_ratio) = if 2 * best.larger.len() <= count {
         (best.larger, best.log_ratio)
     } else {
         let smaller = order.into_iter().filter(|k| !best.larger.contains(k)).collect();
         (smaller, -best.log_ratio)
     };
-    Some(OtherFocals { poses, ratio: log_ratio.exp(), spread })
+    Some(OtherFocals { poses, ratio: log_ratio.exp(), relative_std })
 }
 
 /// A square of a difference, in standard deviations, that is no chance where the best of all splits
@@ -98,7 +98,8 @@ pub(super) fn widen(fit: &mut LensFit, others: &OtherFocals) {
         _ => 0.0,
     };
     let free = &fit.fit.bundle.free;
-    let off = DVector::from_iterator(free.len(), free.iter().map(|k| focal(*k) * others.spread));
+    let off =
+        DVector::from_iterator(free.len(), free.iter().map(|k| focal(*k) * others.relative_std));
     fit.covariance.matrix += &off * off.transpose();
 }
 

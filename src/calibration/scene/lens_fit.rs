@@ -82,9 +82,9 @@ fn choose(start: &Reconstruction, given: &[(String, f64)]) -> Result<LensFit, Sc
         })
     };
     let chosen = (0..fits.len()).find(|k| !is_beaten(*k)).unwrap_or(0);
-    let spread = between_models(&fits, &costs, chosen);
+    let between = between_models(&fits, &costs, chosen);
     let mut fit = fits.swap_remove(chosen);
-    fit.covariance.matrix += spread;
+    fit.covariance.matrix += between;
     Ok(fit)
 }
 
@@ -119,16 +119,16 @@ fn between_models(fits: &[LensFit], costs: &[f64], chosen: usize) -> DMatrix<f64
     let sum: f64 = (0..fits.len()).map(likelihood).sum();
     let free = &fits[chosen].fit.bundle.free;
     let own = fits[chosen].fit.state.lens.parameters();
-    let mut spread = DMatrix::zeros(free.len(), free.len());
+    let mut covariance = DMatrix::zeros(free.len(), free.len());
     for (k, fit) in fits.iter().enumerate() {
         let other = fit.fit.state.lens.parameters();
         let difference = DVector::from_iterator(
             free.len(),
             free.iter().map(|p| if *p < COEFFICIENTS { other[*p] - own[*p] } else { 0.0 }),
         );
-        spread += &difference * difference.transpose() * (likelihood(k) / sum);
+        covariance += &difference * difference.transpose() * (likelihood(k) / sum);
     }
-    spread
+    covariance
 }
 
 /// Fits `model`, all parameters but skew and the `given` ones free.

@@ -28,7 +28,7 @@ const PARALLAX_DEG: f64 = 5.0;
 /// A camera that never rotated by this about its axis leaves the principal point to the parallax,
 /// in degrees.
 const ROLLED_DEG: f64 = 45.0;
-/// Points within this part of their spread from a plane are one.
+/// A relief below which points are one plane.
 const RELIEF: f64 = 0.02;
 /// The part of the image in which a lens should have been seen.
 const COVERED: f64 = 0.7;

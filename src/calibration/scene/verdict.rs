@@ -20,7 +20,7 @@ const SHARED: [f64; 2] = [6.0, 18.0];
 const OUTLIERS: [f64; 2] = [0.15, 0.4];
 /// The median parallax, in degrees, below which depth is weak.
 const PARALLAX_DEG: f64 = 5.0;
-/// Points within this part of their spread from a plane are one.
+/// A relief ([`SceneConditions::relief`]) below which points are one plane.
 pub(super) const RELIEF: f64 = 0.02;
 /// Images that all stand upright leave the principal point to the parallax.
 const ROLLED_DEG: f64 = 30.0;

@@ -33,7 +33,7 @@ impl EffectsFit {
         let [own_shape, other_shape] = [(self, &own), (still, &other)]
             .map(|(fit, indices)| widened(&fit.state.shape, indices, basis.len()));
         let difference = &own_shape - &other_shape;
-        let [own_spread, other_spread] = [(self, &own), (still, &other)]
+        let [own_covariance, other_covariance] = [(self, &own), (still, &other)]
             .map(|(fit, indices)| widened_square(&fit.shape_covariance, indices, basis.len()));
         let inflation = p * self.inflation + q * still.inflation;
         let mut fixed = if p > q { &self.state.fixed } else { &still.state.fixed }.clone();
@@ -60,8 +60,8 @@ impl EffectsFit {
             inflation,
             weight_of_views: p * self.weight_of_views + q * still.weight_of_views,
             pose_covariances,
-            shape_covariance: own_spread * p
-                + other_spread * q
+            shape_covariance: own_covariance * p
+                + other_covariance * q
                 + &difference * difference.transpose() * (p * q),
             shutter_agreement: agreement,
             basis,

@@ -71,16 +71,16 @@ impl FreeLens {
         Ok((Self { model, free, square_pixels }, Given(given)))
     }
 
-    /// All parameters of the lens by the free ones.
-    pub(crate) fn spread(&self, lens: &Lens) -> DMatrix<f64> {
-        let mut spread = DMatrix::zeros(lens.parameters().len(), self.free.len());
+    /// The derivative of all parameters of the lens by the free ones: parameters × free.
+    pub(crate) fn all_by_free(&self, lens: &Lens) -> DMatrix<f64> {
+        let mut by_free = DMatrix::zeros(lens.parameters().len(), self.free.len());
         for (column, index) in self.free.iter().enumerate() {
-            spread[(*index, column)] = 1.0;
+            by_free[(*index, column)] = 1.0;
             if self.square_pixels && *index == 0 {
-                spread[(1, column)] = 1.0;
+                by_free[(1, column)] = 1.0;
             }
         }
-        spread
+        by_free
     }
 
     /// Of a covariance of all parameters of the lens, that of the free ones.

@@ -37,12 +37,13 @@ pub(super) struct CornerBlocks {
     color_covariance: Option<DMatrix<f64>>,
 }
 
-/// Residual limit of an inlier, in standard deviations.
-const CORNER_LIMIT: f64 = 5.0;
+/// The length of an inlier's residual at most, in standard deviations per axis: of normal ones four
+/// in a million are longer.
+const CORNER_LIMIT_STDS: f64 = 5.0;
 
 /// χ² of six degrees of freedom between color's and infrared's board above which the images were
-/// taken at different times.
-const VIEW_LIMIT: f64 = 36.0;
+/// taken at different times: chance gives more three times in a million.
+const VIEW_LIMIT_CHI2: f64 = 36.0;
 
 /// Most rounds of estimating noise, pose jitter and inliers anew.
 const ROUNDS: usize = 10;
@@ -152,8 +153,8 @@ impl CornerBlocks {
         }
         let layout = &self.layout.sensors[sensor];
         let (at, count) = (layout.lens_at, layout.lens.free.len());
-        let spread = layout.lens.spread(&self.state.lenses[sensor]);
-        &spread * self.covariance.view((at, at), (count, count)) * spread.transpose()
+        let by_free = layout.lens.all_by_free(&self.state.lenses[sensor]);
+        &by_free * self.covariance.view((at, at), (count, count)) * by_free.transpose()
     }
 }
 
@@ -386,9 +387,9 @@ impl CornerProblem {
             self.pose_jitter = PoseJitter::of_middle(&differences);
             let differences = self.differences(whole);
             for (observation, difference) in self.observations.iter_mut().zip(differences) {
-                observation
-                    .used
-                    .fill(difference.is_none_or(|difference| difference.surprise <= VIEW_LIMIT));
+                observation.used.fill(
+                    difference.is_none_or(|difference| difference.surprise <= VIEW_LIMIT_CHI2),
+                );
             }
         }
     }
@@ -415,7 +416,7 @@ impl CornerProblem {
             })
             .collect();
         let together = |difference: &Option<PoseDifference>| {
-            difference.is_none_or(|difference| difference.surprise <= VIEW_LIMIT)
+            difference.is_none_or(|difference| difference.surprise <= VIEW_LIMIT_CHI2)
         };
         let infrared = self.observations.iter().zip(&residuals).zip(&differences);
         let infrared = infrared.filter(|((observation, _), difference)| {
@@ -425,14 +426,17 @@ impl CornerProblem {
             .unwrap_or(1.0)
             .max(1.0);
         let pose_jitter = self.pose_jitter.next(
-            differences.iter().flatten().filter(|difference| difference.surprise <= VIEW_LIMIT),
+            differences
+                .iter()
+                .flatten()
+                .filter(|difference| difference.surprise <= VIEW_LIMIT_CHI2),
         );
         let mut settled =
             (noise / self.noise - 1.0).abs() < 0.02 && pose_jitter.is_near(self.pose_jitter);
         for ((observation, residuals), difference) in
             self.observations.iter_mut().zip(&residuals).zip(&differences)
         {
-            let limit = CORNER_LIMIT * if observation.sensor == 1 { noise } else { 1.0 };
+            let limit = CORNER_LIMIT_STDS * if observation.sensor == 1 { noise } else { 1.0 };
             for (used, [x, y]) in observation.used.iter_mut().zip(residuals) {
                 let next = together(difference) && x.hypot(*y) <= limit;
                 settled &= next == *used;

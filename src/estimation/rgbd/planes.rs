@@ -22,12 +22,14 @@ use crate::geometry::lens::Lens;
 use crate::geometry::median::{NORMAL_MEDIAN, median};
 use crate::geometry::pose::{Pose, pose_step};
 
-/// Residual limit of an inlier tile, in standard deviations of the tiles' scatter, …
+/// Residual limit of an inlier tile, in standard deviations of the tiles' scatter: their tails are
+/// longer than normal ones. Not swept.
 const LIMIT_STDS: f64 = 6.0;
-/// … and in the first round, whose residuals also have what the start is off by.
+/// The same in the first round, whose residuals also have what the start is off by.
 const FIRST_LIMIT_STDS: f64 = 12.0;
 
-/// How far a tile's own noise can be believed: readings next to each other err together.
+/// A tile's mean is taken to be known to this part of the standard deviation of its readings at
+/// best, as if a hundred of them erred independently: readings next to each other err together.
 const LEAST_READING_STDS: f64 = 0.1;
 
 /// The problem of the planes.
@@ -301,9 +303,9 @@ impl<'a> Planes<'a> {
                 let sensor = &self.layout.sensors[1];
                 let (at, count, pose_at) =
                     (sensor.lens_at, sensor.lens.free.len(), sensor.pose_at.unwrap_or(0));
-                let spread = sensor.lens.spread(&lens);
+                let by_free = sensor.lens.all_by_free(&lens);
                 let of_lens =
-                    &spread * covariance.view((at, at), (count, count)) * spread.transpose();
+                    &by_free * covariance.view((at, at), (count, count)) * by_free.transpose();
                 (of_lens, Matrix6::from_fn(|a, b| covariance[(pose_at + a, pose_at + b)]))
             }
         };

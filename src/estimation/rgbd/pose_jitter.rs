@@ -75,7 +75,7 @@ impl PoseJitter {
 
     /// Without the variances that the views do not show: one that only followed chance would make
     /// the sensors' pose less certain than it is. `held` are the variances at which the views'
-    /// spreads were computed.
+    /// priors were computed.
     fn where_shown<'a>(
         mut self,
         differences: &(impl Iterator<Item = &'a PoseDifference> + Clone),
@@ -135,8 +135,8 @@ impl PoseDifference {
         let pose_jitter = -(square + precision).cholesky()?.solve(gradient);
         let measured = own.inverse() + by_color;
         let posterior = (precision + measured.cholesky()?.inverse()).cholesky()?.inverse();
-        let spread = measured + Matrix6::from_diagonal(&prior);
-        let surprise = by_infrared.dot(&spread.cholesky()?.solve(&by_infrared));
+        let covariance = measured + Matrix6::from_diagonal(&prior);
+        let surprise = by_infrared.dot(&covariance.cholesky()?.solve(&by_infrared));
         Some(Self { by_infrared, pose_jitter, prior, posterior, measured, surprise })
     }
 

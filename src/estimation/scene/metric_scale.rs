@@ -40,8 +40,8 @@ pub struct ScaleEstimate {
     pub relative_std: f64,
     /// The offset of the depth camera's 1/z, in 1/m.
     pub offset_per_m: f64,
-    /// The standard deviation of one reading, from the median.
-    pub spread: f64,
+    /// The standard deviation of one reading's ratio, from their median absolute deviation.
+    pub robust_std: f64,
     /// How many readings are no outliers.
     pub readings: usize,
     /// In how many images.
@@ -66,7 +66,7 @@ const OFFSET_STD_PER_M: f64 = 0.005;
 pub fn metric_scale(readings: &[ScaleReading], points: &[Point3<f64>]) -> Option<ScaleEstimate> {
     let middle = median(readings.iter().map(|reading| reading.log_ratio).collect())?;
     let off = |reading: &ScaleReading| (reading.log_ratio - middle).abs();
-    let spread = STD_OF_MEDIAN * median(readings.iter().map(off).collect())?;
+    let robust_std = STD_OF_MEDIAN * median(readings.iter().map(off).collect())?;
     let mut line = Line { scale: middle, offset: 0.0 };
     let mut kept: Vec<&ScaleReading> = Vec::new();
     let mut inverse = Matrix2::zeros();
@@ -88,7 +88,7 @@ pub fn metric_scale(readings: &[ScaleReading], points: &[Point3<f64>]) -> Option
         log_ratio: updated[0],
         relative_std: variance.max(0.0).sqrt(),
         offset_per_m: updated[1],
-        spread,
+        robust_std,
         readings: kept.len(),
         views: views.len(),
     })

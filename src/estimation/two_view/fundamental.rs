@@ -93,8 +93,8 @@ impl Normalizing {
         let n = pairs.len() as f64;
         let similarity = |at: fn(&PointPair) -> nalgebra::Point2<f64>| {
             let mean = pairs.iter().map(|p| at(p).coords).sum::<nalgebra::Vector2<f64>>() / n;
-            let spread = pairs.iter().map(|p| (at(p).coords - mean).norm_squared()).sum::<f64>();
-            let scale = (2.0 * n / spread).sqrt();
+            let squares = pairs.iter().map(|p| (at(p).coords - mean).norm_squared()).sum::<f64>();
+            let scale = (2.0 * n / squares).sqrt();
             let usable = scale.is_finite() && scale > 0.0;
             usable.then(|| {
                 Matrix3::new(
