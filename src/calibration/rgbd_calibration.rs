@@ -5,7 +5,7 @@ use nalgebra::DMatrix;
 use crate::calibration::depth_calibration::{DepthCalibration, judge_depth};
 use crate::calibration::factory_check::FactoryCheck;
 use crate::calibration::result::{
-    CalibratedSensor, Calibration, Extrinsics, Grade, ImageCalibration, Verdict, pose_std,
+    CalibratedSensor, Calibration, Extrinsics, Grade, ImageCalibration, PoseStd, Verdict,
 };
 use crate::calibration::rgbd_guess::ViewWithoutDepth;
 use crate::calibration::rgbd_input::RgbdInput;
@@ -97,13 +97,13 @@ pub(super) fn color_from_depth(
     color: SensorId,
     estimate: &RgbdEstimate,
 ) -> Extrinsics {
-    let (rotation_std, translation_std) = pose_std(&estimate.color_from_depth_covariance);
+    let std = PoseStd::of(&estimate.color_from_depth_covariance);
     Extrinsics {
         target: color,
         source,
         target_from_source: estimate.color_from_depth,
-        rotation_std: rotation_std.into(),
-        translation_std_m: translation_std.into(),
+        rotation_std: std.rotation,
+        translation_std_m: std.translation_m,
     }
 }
 
@@ -126,7 +126,7 @@ const WEAK_M: f64 = 0.005;
 /// Planes alone hardly separate the distance between the sensors along the axis from the focal
 /// length and the quadratic term of depth's error.
 fn weak_place(estimate: &RgbdEstimate) -> Option<String> {
-    let std_mm = 1e3 * pose_std(&estimate.color_from_depth_covariance).1.z;
+    let std_mm = 1e3 * PoseStd::of(&estimate.color_from_depth_covariance).translation_m[2];
     (std_mm > 1e3 * WEAK_M).then(|| {
         format!(
             "how far the depth camera stands back from color's is known to {std_mm:.0} mm only: flat boards alone do not separate it from the focal length and the error of depth; corrected depth still agrees with color: tilt the board more, near and far, or record infrared"

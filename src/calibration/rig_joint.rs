@@ -1,6 +1,6 @@
 //! Cameras of a rig that share views, solved together.
 
-use crate::calibration::result::{Extrinsics, Finding, Grade, ImageCalibration, pose_std};
+use crate::calibration::result::{Extrinsics, Finding, Grade, ImageCalibration, PoseStd};
 use crate::calibration::rig_input::RigInput;
 use crate::calibration::rig_member::Alone;
 use crate::calibration::sensor::SensorId;
@@ -166,13 +166,12 @@ fn largest(values: [f64; 3]) -> f64 {
 /// The pose the other way round, with its covariance carried along.
 fn reference_from(reference: &SensorId, sensor: &SensorId, pose: &SensorPose) -> Extrinsics {
     let by_pose = pose.sensor_from_rig.inverse_jacobian();
-    let (rotation_std, translation_std) =
-        pose_std(&(by_pose * pose.covariance * by_pose.transpose()));
+    let std = PoseStd::of(&(by_pose * pose.covariance * by_pose.transpose()));
     Extrinsics {
         target: reference.clone(),
         source: sensor.clone(),
         target_from_source: pose.sensor_from_rig.inverse(),
-        rotation_std: rotation_std.into(),
-        translation_std_m: translation_std.into(),
+        rotation_std: std.rotation,
+        translation_std_m: std.translation_m,
     }
 }

@@ -17,7 +17,9 @@ use crate::estimation::error::EstimationError;
 use crate::estimation::interrupt::Interrupt;
 use crate::estimation::model_check::ModelCheck;
 use crate::estimation::problem::CameraProblem;
-use crate::estimation::uncertainty::{Distance, PixelGrid, UncertaintyMap, projection_uncertainty};
+use crate::estimation::uncertainty::{
+    Distance, MedianAndWorst, PixelGrid, UncertaintyMap, projection_uncertainty,
+};
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::target::Target;
@@ -176,9 +178,8 @@ pub fn uncertainty_over(
 
 fn summed_up(map: Option<&UncertaintyMap>) -> ProjectionUncertainty {
     let figures = map.and_then(|map| Some((map.center()?, map.median_and_worst()?)));
-    let (center, (median, worst)) =
-        figures.unwrap_or((f64::INFINITY, (f64::INFINITY, f64::INFINITY)));
-    ProjectionUncertainty { center, median, worst }
+    let (center, known) = figures.unwrap_or((f64::INFINITY, MedianAndWorst::UNKNOWN));
+    ProjectionUncertainty { center, median: known.median_px, worst: known.worst_px }
 }
 
 pub(super) fn sensor_calibration(estimate: &CameraEstimate) -> ImageCalibration {

@@ -78,7 +78,7 @@ pub(crate) fn square_pixels(estimate: &CameraEstimate) -> Option<String> {
 /// How much of the image is known well enough, where a model that does not fit makes it `factor`
 /// times as uncertain.
 fn uncertainty(map: Option<&UncertaintyMap>, factor: f64) -> Option<Finding> {
-    let worst_px = map.and_then(UncertaintyMap::median_and_worst).map(|(_, worst_px)| worst_px);
+    let worst_px = map.and_then(UncertaintyMap::median_and_worst).map(|known| known.worst_px);
     let (Some(map), Some(worst_px)) = (map, worst_px) else {
         let reason = "no uncertainty is known for projections anywhere in the image".to_owned();
         return Some(Finding { grade: Grade::Poor, reason });

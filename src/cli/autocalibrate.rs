@@ -15,6 +15,7 @@ use crate::cli::search_args::check_sources;
 use crate::cli::sources::FrameSets;
 use crate::cli::{Failure, output, progress};
 use crate::document::scene::SceneCalibrationDocument;
+use crate::estimation::problem::GivenParameter;
 use crate::export::colmap_scene;
 use crate::geometry::lens::Lens;
 use crate::imaging::depth_image::DepthImage;
@@ -28,7 +29,7 @@ pub struct Args {
     lens: LensName,
     /// A lens parameter that is known, as fx=600; may be given several times.
     #[arg(long, value_name = "NAME=VALUE", value_parser = crate::cli::estimated::parameter)]
-    given: Vec<(String, f64)>,
+    given: Vec<GivenParameter>,
     /// How many threads to use; all cores unless given. The result does not depend on it.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,

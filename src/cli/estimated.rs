@@ -7,7 +7,7 @@ use crate::cli::Failure;
 use crate::cli::files::read_calibration;
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::measured_board::MeasuredBoard;
-use crate::estimation::problem::{BoardShape, Shutter};
+use crate::estimation::problem::{BoardShape, GivenParameter, Shutter};
 use crate::imaging::frame::SensorKind;
 
 /// What is known of the board's shape.
@@ -75,7 +75,7 @@ impl EstimatedArgs {
             ShutterName::Rolling => options.shutter = Shutter::Rolling,
         }
         let parameters = self.given.iter().filter_map(|given| match given {
-            GivenArgument::Parameter(name, value) => Some((name.clone(), *value)),
+            GivenArgument::Parameter(parameter) => Some(parameter.clone()),
             GivenArgument::Lens(_) => None,
         });
         options.given.extend(parameters);
@@ -119,7 +119,7 @@ impl EstimatedArgs {
 #[derive(Debug, Clone, PartialEq)]
 enum GivenArgument {
     /// One parameter.
-    Parameter(String, f64),
+    Parameter(GivenParameter),
     /// A lens.
     Lens(GivenLens),
 }
@@ -140,7 +140,7 @@ fn given(text: &str) -> Result<GivenArgument, String> {
     let Some(((camera, sensor), file)) =
         text.split_once('=').and_then(|(name, file)| Some((name.rsplit_once('.')?, file)))
     else {
-        return parameter(text).map(|(name, value)| GivenArgument::Parameter(name, value));
+        return parameter(text).map(GivenArgument::Parameter);
     };
     let kind = SensorKind::from_name(sensor)
         .ok_or_else(|| format!("`{sensor}` is no sensor; write CAMERA.SENSOR, as left.color"))?;
@@ -173,10 +173,10 @@ fn measured_board(file: &Path) -> Result<MeasuredBoard, Failure> {
 }
 
 /// Reads `NAME=VALUE`.
-pub(crate) fn parameter(text: &str) -> Result<(String, f64), String> {
+pub(crate) fn parameter(text: &str) -> Result<GivenParameter, String> {
     let (name, value) = text.split_once('=').ok_or("write NAME=VALUE, as fx=600")?;
     let value = value
         .parse()
         .map_err(|_| format!("`{value}` is not a number; write NAME=VALUE, as fx=600"))?;
-    Ok((name.to_owned(), value))
+    Ok(GivenParameter { name: name.to_owned(), value })
 }

@@ -26,7 +26,7 @@ impl LensChange {
         let moved = projection_difference(calibrated, seen, grid, weights);
         Some(Self {
             seen_px: median(moved.into_iter().flatten().map(|[x, y]| x.hypot(y)).collect())?,
-            visible_px: sigmas * uncertainty.median_and_worst()?.0,
+            visible_px: sigmas * uncertainty.median_and_worst()?.median_px,
         })
     }
 }

@@ -7,7 +7,7 @@ use crate::cli::files::{read_calibration, write_file};
 use crate::cli::length::Length;
 use crate::cli::{Failure, output};
 use crate::document::uncertainty::UncertaintyMapDocument;
-use crate::estimation::uncertainty::{Distance, UncertaintyMap};
+use crate::estimation::uncertainty::{Distance, MedianAndWorst, UncertaintyMap};
 use crate::imaging::heat_map::{GridValues, heat_map_png};
 
 /// Says how well a calibration knows where things are seen, over the image.
@@ -67,10 +67,10 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     if args.json {
         return output::print_json(&UncertaintyMapDocument::new(&name, distance, &map));
     }
-    let (median, worst) = map.median_and_worst().ok_or_else(none)?;
+    let MedianAndWorst { median_px, worst_px } = map.median_and_worst().ok_or_else(none)?;
     let center = map.center().ok_or_else(none)?;
     output::print_line(&format!(
-        "{name}: projections are known to {center:.3} px in the center, {median:.3} px in the median, {worst:.3} px at worst (1 sigma)"
+        "{name}: projections are known to {center:.3} px in the center, {median_px:.3} px in the median, {worst_px:.3} px at worst (1 sigma)"
     ))
 }
 

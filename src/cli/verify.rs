@@ -21,10 +21,9 @@ use crate::cli::verified::{
 use crate::cli::verify_depth::verify_depth;
 use crate::cli::verify_scene::verify_scene;
 use crate::estimation::camera::{CameraEstimate, CameraOptions, CameraStart, calibrate_camera};
-use crate::estimation::problem::{CameraProblem, LensChoice};
+use crate::estimation::problem::{CameraProblem, GivenParameter, LensChoice};
 use crate::estimation::student::student_deviations;
 use crate::estimation::uncertainty::Distance;
-use crate::geometry::lens::Lens;
 use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
 
@@ -94,8 +93,7 @@ fn verify(
     problem: &CameraProblem,
 ) -> Result<(Verified, CameraEstimate), Failure> {
     let model = LensChoice::Model(sensor.lens.model());
-    let names = Lens::parameter_names(sensor.lens.model()).into_iter().map(str::to_owned);
-    let given: Vec<(String, f64)> = names.zip(sensor.lens.parameters()).collect();
+    let given = GivenParameter::all_of(&sensor.lens);
     let as_calibrated =
         CameraOptions { lens: model, given, ..CameraOptions::default() }.as_stated();
     let fixed = calibrate_camera(problem, &as_calibrated).map_err(Failure::failed)?;

@@ -11,7 +11,9 @@ use crate::document::error::DocumentError;
 use crate::document::image_sensor::image_size;
 use crate::document::lens_model::LensRequest;
 use crate::estimation::camera::CameraOptions;
-use crate::estimation::problem::{BoardShape, BoardView, CameraProblem, Correspondence, Shutter};
+use crate::estimation::problem::{
+    BoardShape, BoardView, CameraProblem, Correspondence, GivenParameter, Shutter,
+};
 use crate::geometry::pixel::Pixel;
 
 /// Correspondences of one camera and what to do with them.
@@ -69,7 +71,11 @@ impl ProblemDocument {
                 Some(ShutterRequest::Global) => Shutter::Global,
                 Some(ShutterRequest::Rolling) => Shutter::Rolling,
             },
-            given: self.given.iter().map(|(name, value)| (name.clone(), *value)).collect(),
+            given: self
+                .given
+                .iter()
+                .map(|(name, value)| GivenParameter { name: name.clone(), value: *value })
+                .collect(),
             ..CameraOptions::default()
         }
     }
@@ -208,7 +214,8 @@ mod tests {
     fn what_is_known_reaches_the_estimate() {
         let json = r#"{"image_size":[640,480],"views":[],"lens":"brown","square_pixels":true,"warp":true,"given":{"k3":0,"cx":320}}"#;
         let options = from_json::<ProblemDocument>(json.as_bytes()).unwrap().options();
-        assert_eq!(options.given, [("cx".to_owned(), 320.0), ("k3".to_owned(), 0.0)]);
+        let given = |name: &str, value| GivenParameter { name: name.to_owned(), value };
+        assert_eq!(options.given, [given("cx", 320.0), given("k3", 0.0)]);
         assert_eq!(options.board_shape, BoardShape::Free);
         assert!(options.square_pixels && !options.skew);
     }

@@ -14,7 +14,7 @@ use crate::estimation::lens_misfit::LensMisfit;
 use crate::estimation::model_check::ModelCheck;
 use crate::estimation::model_error::{noise_floor_px_of, with_noise_floor};
 pub use crate::estimation::problem::{CameraOptions, CameraStart};
-use crate::estimation::problem::{CameraProblem, LensChoice, check};
+use crate::estimation::problem::{CameraProblem, GivenParameter, LensChoice, check};
 use crate::estimation::start::Prepared;
 use crate::geometry::lens::LensModel;
 
@@ -22,7 +22,7 @@ use crate::geometry::lens::LensModel;
 ///
 /// # Errors
 /// [`EstimationError::UnknownParameter`], [`EstimationError::GivenValue`].
-pub fn check_given(model: LensModel, given: &[(String, f64)]) -> Result<(), EstimationError> {
+pub fn check_given(model: LensModel, given: &[GivenParameter]) -> Result<(), EstimationError> {
     let options = CameraOptions { given: given.to_vec(), ..CameraOptions::default() };
     FreeLens::from_options(model, &options).map(|_| ())
 }

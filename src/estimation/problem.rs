@@ -99,22 +99,38 @@ pub struct CameraOptions {
     pub measured_board: Option<MeasuredBoard>,
     /// How the sensor reads its rows. Default: found out.
     pub shutter: Shutter,
-    /// Lens parameters that are known, by name, with their values. Default: none.
-    pub given: Vec<(String, f64)>,
+    /// Lens parameters that are known. Default: none.
+    pub given: Vec<GivenParameter>,
     /// An earlier estimate to go on from. Default: none.
     pub start: Option<CameraStart>,
     /// Ends the estimate early. Default: nothing does.
     pub interrupt: Interrupt,
 }
 
+/// A lens parameter that is known.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GivenParameter {
+    /// Its name, as [`Lens::parameter_names`] has it.
+    pub name: String,
+    /// Its value; focal lengths and the principal point are in pixels.
+    pub value: f64,
+}
+
+impl GivenParameter {
+    /// Every parameter of `lens`.
+    pub fn all_of(lens: &Lens) -> Vec<Self> {
+        let names = Lens::parameter_names(lens.model()).into_iter();
+        let given = |(name, value): (&str, f64)| Self { name: name.to_owned(), value };
+        names.zip(lens.parameters()).map(given).collect()
+    }
+}
+
 impl CameraOptions {
     /// Options that hold every parameter of `lens`; `interrupt` ends the estimate.
     pub fn holding(lens: &Lens, interrupt: &Interrupt) -> Self {
-        let names = Lens::parameter_names(lens.model()).into_iter().map(str::to_owned);
-        let given = names.zip(lens.parameters()).collect();
         Self {
             lens: LensChoice::Model(lens.model()),
-            given,
+            given: GivenParameter::all_of(lens),
             interrupt: interrupt.clone(),
             ..Self::default()
         }

@@ -16,14 +16,25 @@ pub(crate) enum Loss {
 }
 
 impl Loss {
-    /// ρ(r²) and the weight ρ'(r²) of iteratively reweighted least squares.
-    pub(crate) fn cost_and_weight(self, r2: f64) -> (f64, f64) {
+    /// What r² costs and weighs.
+    pub(crate) fn at(self, r2: f64) -> LossAt {
         match self {
-            Self::Squares => (r2, 1.0),
-            Self::Huber { scale } if r2 <= scale * scale => (r2, 1.0),
-            Self::Huber { scale } => (scale * (2.0 * r2.sqrt() - scale), scale / r2.sqrt()),
+            Self::Squares => LossAt { cost: r2, weight: 1.0 },
+            Self::Huber { scale } if r2 <= scale * scale => LossAt { cost: r2, weight: 1.0 },
+            Self::Huber { scale } => {
+                LossAt { cost: scale * (2.0 * r2.sqrt() - scale), weight: scale / r2.sqrt() }
+            }
         }
     }
+}
+
+/// A loss at one r².
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct LossAt {
+    /// ρ(r²).
+    pub(crate) cost: f64,
+    /// ρ'(r²), the weight of iteratively reweighted least squares.
+    pub(crate) weight: f64,
 }
 
 /// √(2 ln 2): the median of a two-dimensional Gaussian's length, in standard deviations per axis.
@@ -45,10 +56,9 @@ mod tests {
         for loss in [Loss::Squares, Loss::Huber { scale: 1.5 }] {
             for r2 in [0.0, 0.3, 2.0, 2.3, 9.0, 400.0] {
                 let h = 1e-6;
-                let slope = (loss.cost_and_weight(r2 + h).0
-                    - loss.cost_and_weight((r2 - h).abs()).0)
+                let slope = (loss.at(r2 + h).cost - loss.at((r2 - h).abs()).cost)
                     / (r2 + h - (r2 - h).abs()).max(h);
-                let weight = loss.cost_and_weight(r2).1;
+                let weight = loss.at(r2).weight;
                 assert!(
                     r2 == 0.0 || (slope - weight).abs() < 1e-5,
                     "{loss:?} {r2}: {slope} {weight}"

@@ -86,12 +86,26 @@ impl UncertaintyMap {
         seen().sum::<f64>() / seen().count().max(1) as f64
     }
 
-    /// Median and worst over the image.
-    pub fn median_and_worst(&self) -> Option<(f64, f64)> {
+    /// Median and worst over the image; `None` where the lens sees nothing of it.
+    pub fn median_and_worst(&self) -> Option<MedianAndWorst> {
         let mut seen: Vec<f64> = self.std_px.iter().flatten().copied().collect();
         seen.sort_by(f64::total_cmp);
-        Some((*seen.get(seen.len() / 2)?, *seen.last()?))
+        Some(MedianAndWorst { median_px: *seen.get(seen.len() / 2)?, worst_px: *seen.last()? })
     }
+}
+
+/// The 1-σ uncertainty of projections over an image.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MedianAndWorst {
+    /// Its upper median, in pixels.
+    pub median_px: f64,
+    /// Its greatest, in pixels.
+    pub worst_px: f64,
+}
+
+impl MedianAndWorst {
+    /// Of a lens of which nothing is known.
+    pub const UNKNOWN: Self = Self { median_px: f64::INFINITY, worst_px: f64::INFINITY };
 }
 
 /// Pixels known this many times worse than the median of the image are known far worse than most.

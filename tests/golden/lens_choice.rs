@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use plumb::estimation::camera::{
     CameraEstimate, CameraOptions, calibrate_camera, calibrate_with_jackknife,
 };
-use plumb::estimation::problem::{CameraProblem, LensChoice};
+use plumb::estimation::problem::{CameraProblem, GivenParameter, LensChoice};
 use plumb::estimation::uncertainty::{
     Distance, PixelGrid, projection_difference, projection_uncertainty,
 };
@@ -170,13 +170,17 @@ fn given_parameters_stay_and_square_pixels_are_square() {
     let poses = camera.poses(12, &mut rng);
     let problem = camera.problem(&poses, &mut rng);
     let lens = LensChoice::Model(LensModel::Brown);
-    let given = vec![("cx".to_owned(), 320.0), ("k3".to_owned(), 0.0)];
+    let given = |name: &str, value| GivenParameter { name: name.to_owned(), value };
+    let given = vec![given("cx", 320.0), given("k3", 0.0)];
     let options = CameraOptions { lens, given, square_pixels: true, ..CameraOptions::default() };
     let estimate = calibrate_camera(&problem, &options).unwrap();
     let (parameters, std) = (estimate.lens.parameters(), estimate.lens_std());
     assert_eq!((parameters[2], parameters[9], std[2], std[9]), (320.0, 0.0, 0.0, 0.0));
     assert_eq!((parameters[0], std[0]), (parameters[1], std[1]));
-    let unknown = CameraOptions { given: vec![("k7".to_owned(), 0.0)], ..options };
+    let unknown = CameraOptions {
+        given: vec![GivenParameter { name: "k7".to_owned(), value: 0.0 }],
+        ..options
+    };
     let error = calibrate_camera(&problem, &unknown).unwrap_err();
     assert!(error.to_string().contains("no parameter `k7`"), "{error}");
 }

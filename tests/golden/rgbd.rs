@@ -9,6 +9,7 @@ use plumb::calibration::solve_rgbd::{SolvedRgbd, solve_rgbd};
 use plumb::estimation::camera::CameraOptions;
 use plumb::estimation::error::EstimationError;
 use plumb::estimation::interrupt::Interrupt;
+use plumb::estimation::problem::GivenParameter;
 use plumb::estimation::rgbd::{RgbdProblem, calibrate_rgbd};
 use plumb::geometry::board::{BoardSize, Chessboard};
 use plumb::geometry::depth_camera::PosedDepthLens;
@@ -244,7 +245,7 @@ fn what_is_given_of_color_holds_beside_depth() {
     let mut rng = SeededCamera::rng(930);
     let poses = rig.poses(14, &mut rng);
     let fx = rig.color.lens.matrix.fx;
-    let given = vec![("fx".to_owned(), fx)];
+    let given = vec![GivenParameter { name: "fx".to_owned(), value: fx }];
     let options = CameraOptions { given, ..SeededRgbd::options() };
     let joint = solve_rgbd(&rig.input(&poses, &mut rng), &options).unwrap().joint;
     assert_eq!((joint.color.matrix.fx, joint.color_covariance[(0, 0)]), (fx, 0.0));

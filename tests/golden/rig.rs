@@ -6,7 +6,7 @@ use plumb::calibration::sensor::SensorId;
 use plumb::calibration::solve_rig::solve_rig;
 use plumb::estimation::camera::CameraOptions;
 use plumb::estimation::error::EstimationError;
-use plumb::estimation::problem::LensChoice;
+use plumb::estimation::problem::{GivenParameter, LensChoice};
 use plumb::estimation::rig::{FrameSetView, RigProblem, RigSensor, calibrate_rig};
 use plumb::estimation::view_fault::ViewFault;
 use plumb::geometry::lens::LensModel;
@@ -244,7 +244,7 @@ fn square_pixels_and_what_is_given_hold_in_a_rig() {
     let options = CameraOptions {
         lens: LensChoice::Model(LensModel::Brown),
         square_pixels: true,
-        given: vec![("k3".to_owned(), 0.01)],
+        given: vec![GivenParameter { name: "k3".to_owned(), value: 0.01 }],
         ..CameraOptions::default()
     };
     let solved = solve_rig(&input_of(&problem), &options).unwrap();

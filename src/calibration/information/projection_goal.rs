@@ -51,10 +51,10 @@ impl ProjectionGoal {
 
     /// The figure of a map, in pixels.
     pub fn figure_px(&self, map: &UncertaintyMap) -> Option<f64> {
-        let (median, worst) = map.median_and_worst()?;
+        let known = map.median_and_worst()?;
         Some(match self.figure {
-            GoalFigure::Median => median,
-            GoalFigure::Worst => worst,
+            GoalFigure::Median => known.median_px,
+            GoalFigure::Worst => known.worst_px,
         })
     }
 
@@ -62,7 +62,7 @@ impl ProjectionGoal {
     /// the image, which also falls when one of several places falls that are about as bad.
     pub fn criterion_px(&self, map: &UncertaintyMap) -> Option<f64> {
         match self.figure {
-            GoalFigure::Median => Some(map.median_and_worst()?.0),
+            GoalFigure::Median => Some(map.median_and_worst()?.median_px),
             GoalFigure::Worst => {
                 map.median_and_worst()?;
                 Some(power_mean(&map.std_px.iter().flatten().copied().collect::<Vec<_>>()))

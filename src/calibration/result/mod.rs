@@ -3,7 +3,7 @@
 
 pub mod verdict;
 
-use nalgebra::{Matrix6, Vector3};
+use nalgebra::Matrix6;
 
 pub(in crate::calibration) use crate::calibration::result::verdict::Finding;
 pub use crate::calibration::result::verdict::{Checks, Grade, Verdict};
@@ -296,10 +296,21 @@ pub struct Extrinsics {
     pub translation_std_m: [f64; 3],
 }
 
-/// Standard deviations of a pose's rotation (radians) and translation (meters), axis by axis.
-pub fn pose_std(covariance: &Matrix6<f64>) -> (Vector3<f64>, Vector3<f64>) {
-    let std = |k: usize| covariance[(k, k)].max(0.0).sqrt();
-    (Vector3::from_fn(|k, _| std(k)), Vector3::from_fn(|k, _| std(k + 3)))
+/// Standard deviations of a pose, axis by axis.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PoseStd {
+    /// Of the rotation about each axis, in radians.
+    pub rotation: [f64; 3],
+    /// Of the translation along each, in meters.
+    pub translation_m: [f64; 3],
+}
+
+impl PoseStd {
+    /// From the covariance of a step (rotation in radians, then translation in meters).
+    pub fn of(covariance: &Matrix6<f64>) -> Self {
+        let std = |k: usize| covariance[(k, k)].max(0.0).sqrt();
+        Self { rotation: [0, 1, 2].map(std), translation_m: [3, 4, 5].map(std) }
+    }
 }
 
 /// One lens model of a comparison.

@@ -5,7 +5,7 @@ use nalgebra::{DMatrix, DVector};
 use crate::calibration::scene::cropping::averaged_over_cropping;
 use crate::calibration::scene::fitted_lens::{FITTING, LensFit};
 use crate::calibration::scene::refusal::SceneRefusal;
-use crate::estimation::problem::LensChoice;
+use crate::estimation::problem::{GivenParameter, LensChoice};
 use crate::estimation::scene::bundle::{Bundle, SceneState};
 use crate::estimation::scene::covariance::lens_covariance;
 use crate::estimation::scene::lens_prior::{COEFFICIENTS, SKEW};
@@ -26,7 +26,7 @@ const WORTH: f64 = 6.0;
 pub(super) fn fit_lens(
     start: &Reconstruction,
     choice: LensChoice,
-    given: &[(String, f64)],
+    given: &[GivenParameter],
 ) -> Result<LensFit, SceneRefusal> {
     match choice {
         LensChoice::Model(model) => fit_model(start, model, given),
@@ -34,10 +34,10 @@ pub(super) fn fit_lens(
     }
 }
 
-fn choose(start: &Reconstruction, given: &[(String, f64)]) -> Result<LensFit, SceneRefusal> {
+fn choose(start: &Reconstruction, given: &[GivenParameter]) -> Result<LensFit, SceneRefusal> {
     let knows = |model: &LensModel| {
         let names = Lens::parameter_names(*model);
-        given.iter().all(|(name, _)| names.contains(&name.as_str()))
+        given.iter().all(|given| names.contains(&given.name.as_str()))
     };
     let mut fits: Vec<LensFit> = Vec::new();
     let mut refusal = SceneRefusal::NoFit;
@@ -135,11 +135,11 @@ fn between_models(fits: &[LensFit], costs: &[f64], chosen: usize) -> DMatrix<f64
 fn fit_model(
     start: &Reconstruction,
     model: LensModel,
-    given: &[(String, f64)],
+    given: &[GivenParameter],
 ) -> Result<LensFit, SceneRefusal> {
     let (mut parameters, names) = (first_guess(start, model), Lens::parameter_names(model));
     let mut free: Vec<usize> = (0..parameters.len()).filter(|k| *k != SKEW).collect();
-    for (name, value) in given {
+    for GivenParameter { name, value } in given {
         let unknown = || SceneRefusal::UnknownParameter { name: name.clone(), model };
         let index = names.iter().position(|known| known == name).ok_or_else(unknown)?;
         parameters[index] = *value;

@@ -16,13 +16,15 @@ use crate::calibration::scene::verdict::{self, Evidence};
 use crate::estimation::camera::check_given;
 use crate::estimation::error::EstimationError;
 use crate::estimation::interrupt::Interrupt;
-use crate::estimation::problem::LensChoice;
+use crate::estimation::problem::{GivenParameter, LensChoice};
 use crate::estimation::scene::bundle::{BundleStop, CameraMotion};
 use crate::estimation::scene::hypotheses::reconstruct_best;
 use crate::estimation::scene::lens_prior::{COEFFICIENTS, CX, CY, FX, FY};
 use crate::estimation::scene::reconstruction::Reconstruction;
 use crate::estimation::scene::rotation_only::reconstruct_rotations;
-use crate::estimation::uncertainty::{Distance, PixelGrid, UncertaintyMap, projection_uncertainty};
+use crate::estimation::uncertainty::{
+    Distance, MedianAndWorst, PixelGrid, UncertaintyMap, projection_uncertainty,
+};
 use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
@@ -34,7 +36,7 @@ pub struct SceneOptions {
     /// Which lens model.
     pub lens: LensChoice,
     /// Lens parameters that are known, by name.
-    pub given: Vec<(String, f64)>,
+    pub given: Vec<GivenParameter>,
     /// The focal length that the images' files state; compared with the estimate.
     pub nominal_focal: Option<NominalFocal>,
     /// Threads; the result does not depend on it.
@@ -214,8 +216,8 @@ fn reconstruction(
     if found.still == verified {
         return Err(SceneRefusal::Still);
     }
-    let given = options.given.iter().find(|(name, _)| name == "fx" || name == "fy");
-    let focal = given.map(|(_, value)| *value);
+    let given = options.given.iter().find(|given| given.name == "fx" || given.name == "fy");
+    let focal = given.map(|given| given.value);
     let rotating = reconstruct_rotations(&found.problem, &found.homographies);
     let moving = (found.general.len() >= LEAST_GENERAL)
         .then(|| reconstruct_best(&found.problem, &found.general, focal))
@@ -321,10 +323,8 @@ fn finished(
     let lens_std: Vec<f64> = covariance.diagonal().iter().map(|v| v.max(0.0).sqrt()).collect();
     let grid = PixelGrid::over(size, 16);
     let map = projection_uncertainty(&lens, &covariance, grid, Distance::Infinity);
-    let (median, worst) = map
-        .as_ref()
-        .and_then(UncertaintyMap::median_and_worst)
-        .unwrap_or((f64::INFINITY, f64::INFINITY));
+    let MedianAndWorst { median_px: median, worst_px: worst } =
+        map.as_ref().and_then(UncertaintyMap::median_and_worst).unwrap_or(MedianAndWorst::UNKNOWN);
     let center = map.as_ref().and_then(UncertaintyMap::center).unwrap_or(f64::INFINITY);
     let (count, sum) = points.iter().fold((0, 0.0), |(count, sum), point| {
         (count + point.seen.len(), sum + point.rms_px.powi(2) * point.seen.len() as f64)

@@ -24,7 +24,7 @@ use crate::estimation::board_pose::board_poses;
 use crate::estimation::camera::{CameraEstimate, CameraOptions, calibrate_camera};
 use crate::estimation::problem::{BoardView, CameraProblem, Correspondence, LensChoice};
 use crate::estimation::uncertainty::{
-    Distance, PixelGrid, projection_difference, projection_uncertainty,
+    Distance, MedianAndWorst, PixelGrid, projection_difference, projection_uncertainty,
 };
 use crate::geometry::board::{BoardSize, Chessboard};
 use crate::geometry::homography::Homography;
@@ -334,7 +334,7 @@ impl OperatedSession {
         let part = |limit: f64| {
             ratios.iter().filter(|ratio| **ratio <= limit).count() as f64 / ratios.len() as f64
         };
-        let (median, worst) = map.median_and_worst()?;
+        let MedianAndWorst { median_px: median, worst_px: worst } = map.median_and_worst()?;
         let across = ["57°", "100°", "140°"][(self.seed % 3) as usize];
         Some(OperatedOutcome {
             seed: self.seed,

@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 
 use crate::estimation::error::EstimationError;
-use crate::estimation::problem::CameraOptions;
+use crate::estimation::problem::{CameraOptions, GivenParameter};
 use crate::geometry::lens::{Lens, LensModel};
 
 /// Which parameters of a lens are estimated.
@@ -39,7 +39,7 @@ impl FreeLens {
     ) -> Result<(Self, Given), EstimationError> {
         let names = Lens::parameter_names(model);
         let mut given = Vec::new();
-        for (name, value) in &options.given {
+        for GivenParameter { name, value } in &options.given {
             let unknown = || EstimationError::UnknownParameter {
                 model,
                 name: name.clone(),

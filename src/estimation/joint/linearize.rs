@@ -184,11 +184,9 @@ impl ObservationRef<'_> {
             *residual = if seen { miss.map(|m| m * inverse_std) } else { [f64::INFINITY; 2] };
             if self.observation.used[index] {
                 all_seen &= seen;
-                let (rho, weight) = self
-                    .loss
-                    .cost_and_weight(residual[0] * residual[0] + residual[1] * residual[1]);
-                cost += rho;
-                factor[index] = weight.sqrt() * inverse_std;
+                let loss = self.loss.at(residual[0] * residual[0] + residual[1] * residual[1]);
+                cost += loss.cost;
+                factor[index] = loss.weight.sqrt() * inverse_std;
             }
             (miss_x[index], miss_y[index]) = (miss[0], miss[1]);
         }
