@@ -6,8 +6,9 @@ use nalgebra::{DMatrix, Matrix6, Vector3};
 use crate::estimation::camera_fit::{CameraFit, LEAST_NOISE, OPEN_FOCAL, rms};
 use crate::estimation::clustered_covariance::{Clustered, FitCovariance};
 use crate::estimation::error::EstimationError;
+use crate::estimation::joint::SensorLayout;
 use crate::estimation::joint::minimize::Minimum;
-use crate::estimation::joint::normal::chain;
+use crate::estimation::joint::normal::ChainedPose;
 use crate::estimation::lens_choice::LensTrial;
 use crate::estimation::measured_board::{MeasuredBoard, RollingShutter};
 use crate::estimation::problem::{CameraProblem, CameraStart};
@@ -115,77 +116,127 @@ pub(crate) fn assemble(
     (fit, covariance): (&CameraFit, Option<&FitCovariance>),
     part: Part,
 ) -> Result<CameraEstimate, EstimationError> {
-    let Minimum { state, equations, .. } = &fit.robust.minimum;
-    let noise2 = fit.effects.as_ref().map_or_else(|| fit.noise_square(), |e| e.noise_square);
-    let lens = state.lenses[part.sensor];
-    let at = &fit.layout.sensors[part.sensor];
+    let state = &fit.robust.minimum.state;
     let observations = part.first_observation..part.first_observation + problem.views.len();
     let good: Vec<usize> =
         observations.clone().filter(|observation| fit.faults[*observation].is_none()).collect();
-    let pose_of = |observation: usize| {
-        state.sensor_from_board(part.sensor, fit.observations[observation].frame_set)
+    let pose_of = |observation: &usize| {
+        state.sensor_from_board(part.sensor, fit.observations[*observation].frame_set)
     };
-    let camera_from_board: Vec<Pose> =
-        good.iter().map(|observation| pose_of(*observation)).collect();
+    let camera_from_board: Vec<Pose> = good.iter().map(pose_of).collect();
+    let lens = state.lenses[part.sensor];
     let open = |parameter, std| undetermined(prepared, &camera_from_board, &lens, (parameter, std));
     let covariance = covariance.ok_or_else(|| open(0, f64::INFINITY))?;
-    let unit = &covariance.unit;
-    let of_lens = match &fit.effects {
-        Some(effects) => Clustered {
-            covariance: effects.lens_covariance.clone(),
-            factor: effects.inflation,
-            weight: effects.weight_of_views,
-        },
-        None => covariance.block(at.lens_at..at.lens_at + at.lens.free.len()),
-    };
-    let variance_inflation = of_lens.factor;
-    let variance = noise2 * variance_inflation;
-    let (by_free, free) = (at.lens.all_by_free(&lens), at.lens.free.len());
-    let mut lens_covariance = &by_free * of_lens.covariance * by_free.transpose();
-    if let Some(doubt) = &fit.shutter_doubt {
-        // How views differ has the shutter's part in it.
-        lens_covariance += doubt * doubt.transpose() * (1.0 - of_lens.weight);
+    let part_of_fit = FittedPart::of(fit, covariance, part);
+    if let Some((axis, std)) = part_of_fit.open_focal() {
+        return Err(open(axis, std));
     }
-    if let Some(between_models) = &fit.between_models {
-        lens_covariance += between_models;
+    let views: Vec<ViewEstimate> = observations
+        .zip(&problem.views)
+        .map(|(index, view)| part_of_fit.view(&view.name, index, &prepared.center_in_board))
+        .collect();
+    let effects = fit.effects.as_ref();
+    Ok(CameraEstimate {
+        image_size: problem.image_size,
+        lens,
+        lens_covariance: part_of_fit.lens_covariance(),
+        noise_floor_px: 0.0,
+        noise: part.noise * part_of_fit.noise_square.sqrt(),
+        variance_inflation: part_of_fit.of_lens.factor,
+        rms_px: rms_of_views(&views),
+        views,
+        board_shape: effects
+            .and_then(|effects| MeasuredBoard::of(effects, prepared.center_in_board)),
+        rolling_shutter: effects.and_then(|effects| RollingShutter::of(effects, &good)),
+        compared: Vec::new(),
+    })
+}
+
+/// One camera of a fit, with the covariance of what was fitted.
+struct FittedPart<'a> {
+    fit: &'a CameraFit,
+    part: Part,
+    /// Of all global parameters, for noise of unit variance.
+    unit: &'a DMatrix<f64>,
+    /// Of the lens's free parameters, with how views differ in it, for noise of unit variance.
+    of_lens: Clustered,
+    /// The noise's variance, in units of the corners' own.
+    noise_square: f64,
+}
+
+impl<'a> FittedPart<'a> {
+    fn of(fit: &'a CameraFit, covariance: &'a FitCovariance, part: Part) -> Self {
+        let at = &fit.layout.sensors[part.sensor];
+        let (of_lens, noise_square) = match &fit.effects {
+            Some(effects) => {
+                let of_lens = Clustered {
+                    covariance: effects.lens_covariance.clone(),
+                    factor: effects.inflation,
+                    weight: effects.weight_of_views,
+                };
+                (of_lens, effects.noise_square)
+            }
+            None => {
+                let block = at.lens_at..at.lens_at + at.lens.free.len();
+                (covariance.block(block), fit.noise_square())
+            }
+        };
+        Self { fit, part, unit: &covariance.unit, of_lens, noise_square }
     }
-    let of_lens = unit.view((at.lens_at, at.lens_at), (free, free));
-    for axis in [0, 1] {
-        // Exact corners must not make a lens known that a hundredth of a pixel would leave open.
-        let of_unit_noise = by_free.row(axis) * of_lens * by_free.row(axis).transpose();
-        let std = (of_unit_noise[(0, 0)] * variance_inflation).sqrt()
-            * noise2.sqrt().max(LEAST_NOISE / part.noise);
-        if !(std < OPEN_FOCAL * lens.parameters()[axis]) {
-            return Err(open(axis, std));
+
+    fn lens(&self) -> &Lens {
+        &self.fit.robust.minimum.state.lenses[self.part.sensor]
+    }
+
+    fn at(&self) -> &SensorLayout {
+        &self.fit.layout.sensors[self.part.sensor]
+    }
+
+    /// Of all parameters of the lens, with what is not known of a rolling shutter and of the model.
+    fn lens_covariance(&self) -> DMatrix<f64> {
+        let by_free = self.at().lens.all_by_free(self.lens());
+        let mut covariance = &by_free * &self.of_lens.covariance * by_free.transpose();
+        if let Some(doubt) = &self.fit.shutter_doubt {
+            // How views differ has the shutter's part in it.
+            covariance += doubt * doubt.transpose() * (1.0 - self.of_lens.weight);
         }
+        if let Some(between_models) = &self.fit.between_models {
+            covariance += between_models;
+        }
+        covariance
     }
-    let views = observations.map(|index| {
+
+    /// The first focal length that the views leave open, as its index, with its standard deviation
+    /// in pixels.
+    fn open_focal(&self) -> Option<(usize, f64)> {
+        let (at, lens) = (self.at(), self.lens());
+        let (by_free, free) = (at.lens.all_by_free(lens), at.lens.free.len());
+        let of_lens = self.unit.view((at.lens_at, at.lens_at), (free, free));
+        [0, 1].into_iter().find_map(|axis| {
+            // Exact corners must not make a lens known that a hundredth of a pixel would leave open.
+            let of_unit_noise = by_free.row(axis) * of_lens * by_free.row(axis).transpose();
+            let std = (of_unit_noise[(0, 0)] * self.of_lens.factor).sqrt()
+                * self.noise_square.sqrt().max(LEAST_NOISE / self.part.noise);
+            let is_known = std < OPEN_FOCAL * lens.parameters()[axis];
+            (!is_known).then_some((axis, std))
+        })
+    }
+
+    /// The view of observation `index`; poses are about `center_in_board` in the fit.
+    fn view(&self, name: &str, index: usize, center_in_board: &Vector3<f64>) -> ViewEstimate {
+        let Minimum { state, equations, .. } = &self.fit.robust.minimum;
         let (fault, observation, residuals) =
-            (fit.faults[index], &fit.observations[index], &equations.residuals[index]);
-        let placed = residuals.iter().any(|r| r[0].is_finite());
-        let pose = pose_of(index);
-        let translation = pose.translation() - pose * prepared.center_in_board;
-        let chained = at.pose_at.map(|pose_at| {
-            let (by_sensor, by_board) = chain(state, (part.sensor, observation.frame_set));
-            (pose_at, by_sensor, by_board)
-        });
-        let known = fault.is_none();
-        let covariance = known
-            .then(|| equations.pose_covariance(observation.frame_set, unit, chained))
-            .flatten();
+            (self.fit.faults[index], &self.fit.observations[index], &equations.residuals[index]);
+        let is_projected = residuals.iter().any(|r| r[0].is_finite());
+        let pose = state.sensor_from_board(self.part.sensor, observation.frame_set);
+        let translation = pose.translation() - pose * *center_in_board;
+        let counts = |k: usize| fault.is_some() || observation.used[k];
         ViewEstimate {
-            name: problem.views[index - part.first_observation].name.clone(),
+            name: name.to_owned(),
             fault,
-            camera_from_board: placed.then(|| Pose::new(pose.rotation(), translation)),
-            covariance: match &fit.effects {
-                Some(effects) => effects.pose_covariances[index]
-                    .filter(|_| known)
-                    .map(|covariance| covariance * variance_inflation),
-                None => covariance.map(|c| c * variance),
-            },
-            rms_px: placed.then(|| {
-                rms(residuals, &observation.inverse_std, |k| fault.is_some() || observation.used[k])
-            }),
+            camera_from_board: is_projected.then(|| Pose::new(pose.rotation(), translation)),
+            covariance: self.pose_covariance(index).filter(|_| fault.is_none()),
+            rms_px: is_projected.then(|| rms(residuals, &observation.inverse_std, counts)),
             residuals_px: residuals
                 .iter()
                 .zip(&observation.inverse_std)
@@ -193,27 +244,20 @@ pub(crate) fn assemble(
                 .collect(),
             used: observation.used.clone(),
         }
-    });
-    let views: Vec<ViewEstimate> = views.collect();
-    Ok(CameraEstimate {
-        image_size: problem.image_size,
-        lens,
-        lens_covariance,
-        noise_floor_px: 0.0,
-        noise: part.noise * noise2.sqrt(),
-        variance_inflation,
-        rms_px: rms_of_views(&views),
-        views,
-        board_shape: fit
-            .effects
-            .as_ref()
-            .and_then(|effects| MeasuredBoard::of(effects, prepared.center_in_board)),
-        rolling_shutter: fit
-            .effects
-            .as_ref()
-            .and_then(|effects| RollingShutter::of(effects, &good)),
-        compared: Vec::new(),
-    })
+    }
+
+    /// Of the board's pose in observation `index`.
+    fn pose_covariance(&self, index: usize) -> Option<Matrix6<f64>> {
+        let inflation = self.of_lens.factor;
+        if let Some(effects) = &self.fit.effects {
+            return effects.pose_covariances[index].map(|covariance| covariance * inflation);
+        }
+        let Minimum { state, equations, .. } = &self.fit.robust.minimum;
+        let observation = &self.fit.observations[index];
+        let chained = ChainedPose::where_posed((&self.fit.layout, state), observation);
+        let unit = equations.pose_covariance(observation.frame_set, self.unit, chained)?;
+        Some(unit * (self.noise_square * inflation))
+    }
 }
 
 /// The rms over all corners in use.

@@ -15,7 +15,7 @@
 
 use nalgebra::{Matrix2, Vector3};
 
-use crate::estimation::joint::normal::{NormalEquations, chain};
+use crate::estimation::joint::normal::{ChainedPose, NormalEquations};
 use crate::estimation::joint::{Layout, State};
 use crate::geometry::depth_camera::DepthTile;
 use crate::geometry::depth_correction::{
@@ -56,7 +56,7 @@ pub(crate) fn add_planes(
     let mut row = DepthRow { residual: 0.0, globals: Vec::new(), by_pose: [0.0; 6] };
     let residuals = observations.iter().map(|observation| {
         let chained = (observation.sensor != 0)
-            .then(|| chain(state, (observation.sensor, observation.frame_set)));
+            .then(|| ChainedPose::of((layout, state), observation.sensor, observation.frame_set));
         let each = (0..observation.tiles.len()).map(|index| {
             if !linearize_tile(
                 (layout, state),
@@ -70,8 +70,8 @@ pub(crate) fn add_planes(
                 let pose = nalgebra::RowVector6::from_row_slice(&row.by_pose);
                 let by_board = match &chained {
                     None => row.by_pose,
-                    Some((by_sensor, by_board)) => {
-                        if let Some(at) = layout.sensors[observation.sensor].pose_at {
+                    Some(ChainedPose { pose_at, by_sensor, by_board }) => {
+                        if let Some(at) = *pose_at {
                             let by_sensor = pose * by_sensor;
                             row.globals.extend((0..6).map(|k| (at + k, by_sensor[k])));
                         }

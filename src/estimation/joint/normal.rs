@@ -73,9 +73,7 @@ pub(crate) fn linearize_within(
             return None;
         }
         equations.cost += local.cost;
-        let chained = layout.sensors[observation.sensor]
-            .pose_at
-            .map(|_| chain(state, (observation.sensor, observation.frame_set)));
+        let chained = ChainedPose::where_posed((layout, state), observation);
         equations.add(layout, (observation.sensor, observation.frame_set), chained, &local);
         equations.local.push(local);
     }
@@ -103,14 +101,14 @@ impl NormalEquations {
         self.global.fill_lower_triangle_with_upper_triangle();
     }
 
-    /// Adds what `sensor` saw at `frame_set`, but for its cost; `chained` is its [`chain`], where
-    /// it has a pose of its own.
+    /// Adds what `sensor` saw at `frame_set`, but for its cost; `chained` where the sensor has a pose
+    /// of its own.
     #[expect(clippy::needless_range_loop, reason = "indices of matrices")]
     pub(crate) fn add(
         &mut self,
         layout: &Layout,
         (sensor, frame_set): (usize, usize),
-        chained: Option<(Matrix6<f64>, Matrix6<f64>)>,
+        chained: Option<ChainedPose>,
         local: &LocalEquations,
     ) {
         let at = &layout.sensors[sensor];
@@ -126,7 +124,7 @@ impl NormalEquations {
         }
         let block = &mut self.frame_sets[frame_set];
         let coupling = &mut self.coupling[frame_set * layout.len..][..layout.len];
-        let (Some(pose_at), Some((by_sensor, by_board))) = (at.pose_at, chained) else {
+        let Some(ChainedPose { pose_at: Some(pose_at), by_sensor, by_board }) = chained else {
             for a in 0..6 {
                 block.gradient[a] += local.product(pose + a, residual);
                 for b in 0..6 {
@@ -138,8 +136,6 @@ impl NormalEquations {
             }
             return;
         };
-        // The sensor sees the board through its own pose: δ_sensor_from_board = A δ_sensor_from_rig
-        // + B δ_rig_from_board.
         let square = Matrix6::from_fn(|a, b| local.product(pose + a, pose + b));
         let gradient = nalgebra::Vector6::from_fn(|a, _| local.product(pose + a, residual));
         let (sensor_square, board_square) =
@@ -280,22 +276,22 @@ impl NormalEquations {
         self.pose_covariance(frame_set, global, None)
     }
 
-    /// As [`Self::frame_set_covariance`], of the board's pose as a sensor sees it that has a pose
-    /// of its own: where that lies among the global parameters, and A and B of [`chain`].
+    /// As [`Self::frame_set_covariance`], of the board's pose in the frame of a sensor that has a
+    /// pose of its own.
     pub(crate) fn pose_covariance(
         &self,
         frame_set: usize,
         global: &DMatrix<f64>,
-        sensor: Option<(usize, Matrix6<f64>, Matrix6<f64>)>,
+        chained: Option<ChainedPose>,
     ) -> Option<Matrix6<f64>> {
         let block = &self.frame_sets[frame_set];
         let inverse = Matrix6::from_fn(|a, b| block.hessian[a][b]).cholesky()?.inverse();
-        let by_board = sensor.map_or_else(Matrix6::identity, |(_, _, by_board)| by_board);
+        let by_board = chained.map_or_else(Matrix6::identity, |chained| chained.by_board);
         let rows = self.coupling_of(frame_set);
         let coupling = DMatrix::from_fn(6, global.nrows(), |a, k| rows[k][a]);
         let eliminated = by_board * inverse;
         let mut through = DMatrix::from_fn(6, 6, |a, b| -eliminated[(a, b)]) * coupling;
-        if let Some((pose_at, by_sensor, _)) = sensor {
+        if let Some(ChainedPose { pose_at: Some(pose_at), by_sensor, .. }) = chained {
             let mut own = through.view_mut((0, pose_at), (6, 6));
             own += by_sensor;
         }
@@ -305,19 +301,41 @@ impl NormalEquations {
     }
 }
 
-/// A and B of δ_sensor_from_board = A δ_sensor_from_rig + B δ_rig_from_board.
-pub(crate) fn chain(
-    state: &State,
-    (sensor, frame_set): (usize, usize),
-) -> (Matrix6<f64>, Matrix6<f64>) {
-    let rotation = state.sensor_from_rig[sensor].rotation_matrix();
-    let lever = rotation * state.rig_from_board[frame_set].translation();
-    let mut by_sensor = Matrix6::identity();
-    by_sensor.fixed_view_mut::<3, 3>(3, 0).copy_from(&-lever.cross_matrix());
-    let mut by_board = Matrix6::zeros();
-    by_board.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
-    by_board.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotation);
-    (by_sensor, by_board)
+/// How a sensor that is not the rig's own frame sees a step of the board's pose, and of its own:
+/// δ_sensor_from_board = A δ_sensor_from_rig + B δ_rig_from_board.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct ChainedPose {
+    /// Where δ_sensor_from_rig lies among the global parameters; `None` where it is held, and of a
+    /// sensor that the layout does not fit.
+    pub(crate) pose_at: Option<usize>,
+    /// A.
+    pub(crate) by_sensor: Matrix6<f64>,
+    /// B.
+    pub(crate) by_board: Matrix6<f64>,
+}
+
+impl ChainedPose {
+    pub(crate) fn of((layout, state): (&Layout, &State), sensor: usize, frame_set: usize) -> Self {
+        let rotation = state.sensor_from_rig[sensor].rotation_matrix();
+        let lever = rotation * state.rig_from_board[frame_set].translation();
+        let mut by_sensor = Matrix6::identity();
+        by_sensor.fixed_view_mut::<3, 3>(3, 0).copy_from(&-lever.cross_matrix());
+        let mut by_board = Matrix6::zeros();
+        by_board.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
+        by_board.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotation);
+        let pose_at = layout.sensors.get(sensor).and_then(|at| at.pose_at);
+        Self { pose_at, by_sensor, by_board }
+    }
+
+    /// That of an observation by a sensor whose pose is estimated; `None` for others.
+    pub(crate) fn where_posed(
+        (layout, state): (&Layout, &State),
+        observation: &BoardObservation,
+    ) -> Option<Self> {
+        let BoardObservation { sensor, frame_set, .. } = *observation;
+        layout.sensors[sensor].pose_at?;
+        Some(Self::of((layout, state), sensor, frame_set))
+    }
 }
 
 fn diagonal_form(matrix: &DMatrix<f64>, vector: &DVector<f64>) -> f64 {

@@ -2,7 +2,7 @@
 //! can be assembled without another pass over its corners.
 
 use crate::estimation::joint::linearize::{Columns, LocalEquations, linearize_observation};
-use crate::estimation::joint::normal::{NormalEquations, chain};
+use crate::estimation::joint::normal::{ChainedPose, NormalEquations};
 use crate::estimation::joint::{BoardObservation, Layout, State};
 use crate::estimation::robust::Loss;
 
@@ -51,9 +51,7 @@ pub(crate) fn assemble(
         if local.columns == 0 {
             continue;
         }
-        let chained = layout.sensors[observation.sensor]
-            .pose_at
-            .map(|_| chain(state, (observation.sensor, observation.frame_set)));
+        let chained = ChainedPose::where_posed((layout, state), observation);
         equations.cost += local.cost;
         equations.add(layout, (observation.sensor, frame_set), chained, local);
     }

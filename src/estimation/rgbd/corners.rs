@@ -7,7 +7,7 @@ use nalgebra::{DMatrix, Matrix6, Vector3, Vector6};
 use crate::estimation::clustered_covariance::{FitCovariance, ReducedView};
 use crate::estimation::joint::linearize::{Columns, LocalEquations, linearize_observation};
 use crate::estimation::joint::minimize::{Stop, walk};
-use crate::estimation::joint::normal::{NormalEquations, Step, chain};
+use crate::estimation::joint::normal::{ChainedPose, NormalEquations, Step};
 use crate::estimation::joint::{BoardObservation, FreeLens, Layout, State, moved};
 use crate::estimation::rgbd::covariance_with_shape::covariance_with_shape;
 use crate::estimation::rgbd::motion::{BoardMotion, TimeOffset};
@@ -262,9 +262,7 @@ impl CornerProblem {
                 self.add_offset(&mut equations, state, observation, &local);
             }
             equations.cost += local.cost;
-            let chained = self.layout.sensors[observation.sensor]
-                .pose_at
-                .map(|_| chain(state, (observation.sensor, observation.frame_set)));
+            let chained = ChainedPose::where_posed((&self.layout, state), observation);
             equations.add(
                 &self.layout,
                 (observation.sensor, observation.frame_set),
@@ -316,7 +314,8 @@ impl CornerProblem {
         else {
             return;
         };
-        let (by_sensor, by_board) = chain(state, (1, observation.frame_set));
+        let ChainedPose { pose_at, by_sensor, by_board } =
+            ChainedPose::of((&self.layout, state), 1, observation.frame_set);
         let velocity = by_board * Vector6::from_row_slice(&motion.step(1.0));
         let (square, gradient) = pose_part(local);
         let through = square * velocity;
@@ -327,7 +326,7 @@ impl CornerProblem {
             let row = Vector6::from_fn(|a, _| local.product(k, local.columns - 7 + a));
             equations.global[(sensor.lens_at + k, at)] += row.dot(&velocity);
         }
-        if let Some(pose_at) = sensor.pose_at {
+        if let Some(pose_at) = pose_at {
             let by_pose = by_sensor.transpose() * through;
             (0..6).for_each(|a| equations.global[(pose_at + a, at)] += by_pose[a]);
         }
@@ -363,7 +362,8 @@ impl CornerProblem {
             let linearized = self.linearize_one(state, used, &mut columns, &mut local).is_some();
             let part = linearized.then(|| pose_part(&local));
             if observation.sensor == 0 {
-                let (_, by_board) = chain(&later, (1, observation.frame_set));
+                let ChainedPose { by_board, .. } =
+                    ChainedPose::of((&self.layout, &later), 1, observation.frame_set);
                 let inverse =
                     part.and_then(|(square, _)| square.cholesky()).map(|factor| factor.inverse());
                 by_color[observation.frame_set] =
