@@ -19,6 +19,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::joint::minimize::Minimum;
+use crate::estimation::joint::normal::ReducedView;
 use crate::estimation::joint::per_observation::assemble;
 use crate::estimation::robust_fit::ROUNDING;
 
@@ -85,10 +86,6 @@ impl Influence {
         }
     }
 }
-
-/// What one view by itself says of the parameters that all share, its pose eliminated: its part of
-/// the information, and of the gradient of half the cost.
-pub(crate) type ReducedView = (DMatrix<f64>, DVector<f64>);
 
 /// The covariance of all global parameters of a fit, with what each of its views does to them.
 #[derive(Debug, Clone)]
@@ -209,7 +206,7 @@ fn of_parts(
     let size = unit.nrows();
     let scaled = in_units(unit, scale);
     let inverse = scaled.clone().cholesky()?.inverse();
-    let of_view = |(information, gradient): ReducedView| {
+    let of_view = |ReducedView { information, gradient }: ReducedView| {
         let information =
             DMatrix::from_fn(size, size, |i, j| information[(i, j)] * scale[i] * scale[j]);
         let step = -(&scaled * gradient.component_mul(scale));

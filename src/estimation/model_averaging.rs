@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DVector, Point3};
 
 use crate::estimation::joint::FreeLens;
 use crate::estimation::lens_trial::Trial;
-use crate::estimation::nearest_lens::nearest_from;
+use crate::estimation::nearest_lens::{WeightedPoint, nearest_from};
 use crate::estimation::uncertainty::{Distance, projection_uncertainty};
 use crate::geometry::lens::Lens;
 
@@ -62,14 +62,14 @@ fn difference(own: &Trial<'_>, other: &Trial<'_>) -> Option<DVector<f64>> {
         Some(projection_uncertainty(lens, covariance, trial.grid, Distance::Infinity)?.square_px2)
     };
     let variances = variances(own)?.into_iter().zip(variances(other)?);
-    let seen: Vec<(Point3<f64>, f64)> = own
+    let seen: Vec<WeightedPoint> = own
         .grid
         .pixels()
         .zip(variances)
         .filter_map(|(pixel, (own, other))| {
-            let point = Point3::from(lens.bearing_from_pixel(pixel)?.into_inner());
-            target.pixel_from_point(&point)?;
-            Some((point, 1.0 / (own? + other?)))
+            let in_camera = Point3::from(lens.bearing_from_pixel(pixel)?.into_inner());
+            target.pixel_from_point(&in_camera)?;
+            Some(WeightedPoint { in_camera, weight: 1.0 / (own? + other?) })
         })
         .collect();
     let free_lens = &own.fit.layout.sensors[0].lens;
@@ -80,8 +80,8 @@ fn difference(own: &Trial<'_>, other: &Trial<'_>) -> Option<DVector<f64>> {
     };
     let moved = Lens { matrix: target.matrix, ..*lens };
     let miss = |lens: &Lens| -> f64 {
-        let of = |(point, weight): &(Point3<f64>, f64)| {
-            let pixels = [lens, target].map(|lens| lens.pixel_from_point(point));
+        let of = |WeightedPoint { in_camera, weight }: &WeightedPoint| {
+            let pixels = [lens, target].map(|lens| lens.pixel_from_point(in_camera));
             let [Some(pixel), Some(wanted)] = pixels else { return f64::INFINITY };
             pixel.distance_px(wanted).powi(2) * weight
         };

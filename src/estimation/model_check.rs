@@ -6,6 +6,7 @@ use nalgebra::{DMatrix, DVector};
 use crate::estimation::camera_estimate::CameraEstimate;
 use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::joint::minimize::Minimum;
+use crate::estimation::joint::normal::ReducedView;
 use crate::estimation::joint::per_observation::assemble;
 use crate::estimation::lens_misfit::LensMisfit;
 use crate::estimation::lens_trial::{refit, squares_under};
@@ -172,11 +173,11 @@ fn squares_nearby(lens: &Lens, fit: &CameraFit, view: usize) -> Option<f64> {
         &fit.observations,
         (part, 1),
     );
-    let (information, score) = alone.reduced(0)?;
+    let ReducedView { information, gradient } = alone.reduced(0)?;
     let (there, here) = (lens.parameters(), fit.lens().parameters());
     let moved =
         DVector::from_iterator(free.len(), free.iter().map(|index| there[*index] - here[*index]));
-    let raised = 2.0 * score.dot(&moved) + moved.dot(&(&information * &moved));
+    let raised = 2.0 * gradient.dot(&moved) + moved.dot(&(&information * &moved));
     (raised.abs() < NEARBY * alone.cost)
         .then_some((alone.cost + raised) / (inverse_std * inverse_std))
 }

@@ -14,6 +14,15 @@ const NO_MISS_PX: f64 = 1e-9;
 /// Parameters that the points leave open stay where they are.
 const DAMPING: f64 = 1e-12;
 
+/// A point that a lens sees, and how much it counts.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct WeightedPoint {
+    /// In the camera's frame; its length does not matter.
+    pub(crate) in_camera: Point3<f64>,
+    /// The inverse of the variance of its pixel, up to a common factor.
+    pub(crate) weight: f64,
+}
+
 /// The lens with the parameters that `free` leaves, the others being `given`, that sees
 /// `points_in_camera` as nearly as possible as `lens` does, by least squares of pixels. `None` where
 /// it does not see them all.
@@ -24,27 +33,26 @@ pub(crate) fn nearest_lens(
 ) -> Option<Lens> {
     let mut near = Lens { matrix: lens.matrix, distortion: nested(lens, free.model)? };
     given.apply(&mut near)?;
-    let seen: Vec<(Point3<f64>, f64)> =
-        points_in_camera.iter().map(|point| (*point, 1.0)).collect();
+    let alike = |point: &Point3<f64>| WeightedPoint { in_camera: *point, weight: 1.0 };
+    let seen: Vec<WeightedPoint> = points_in_camera.iter().map(alike).collect();
     nearest_from(near, lens, free, &seen)
 }
 
-/// As [`nearest_lens`], with a lens to start from, whose parameters that are not free stay, and
-/// weights of the points.
+/// As [`nearest_lens`], with a lens to start from, whose parameters that are not free stay.
 pub(crate) fn nearest_from(
     mut near: Lens,
     lens: &Lens,
     free: &FreeLens,
-    seen_in_camera: &[(Point3<f64>, f64)],
+    seen: &[WeightedPoint],
 ) -> Option<Lens> {
     let by_free = free.all_by_free(&near);
     let (all, size) = by_free.shape();
     for _ in 0..STEPS {
         let mut square = SMatrix::<f64, MAX_PARAMETERS, MAX_PARAMETERS>::zeros();
         let mut right = SVector::<f64, MAX_PARAMETERS>::zeros();
-        for (point, weight) in seen_in_camera {
-            let (seen, now) = (lens.pixel_from_point(point)?, near.project(point)?);
-            let miss = Vector2::new(seen.x - now.pixel.x, seen.y - now.pixel.y);
+        for WeightedPoint { in_camera, weight } in seen {
+            let (wanted, now) = (lens.pixel_from_point(in_camera)?, near.project(in_camera)?);
+            let miss = Vector2::new(wanted.x - now.pixel.x, wanted.y - now.pixel.y);
             square += now.by_parameters.tr_mul(&now.by_parameters) * *weight;
             right += now.by_parameters.tr_mul(&miss) * *weight;
         }

@@ -251,9 +251,8 @@ impl NormalEquations {
         covariance.iter().all(|v| v.is_finite()).then_some(covariance)
     }
 
-    /// One frame set's part of the Schur complement and of its gradient, the pose eliminated, where
-    /// these are the equations of that frame set.
-    pub(crate) fn reduced(&self, frame_set: usize) -> Option<(DMatrix<f64>, DVector<f64>)> {
+    /// What one frame set says by itself, where these are the equations of that frame set.
+    pub(crate) fn reduced(&self, frame_set: usize) -> Option<ReducedView> {
         let size = self.global_gradient.len();
         let block = &self.frame_sets[frame_set];
         let factor = cholesky6(&block.hessian, 0.0)?;
@@ -264,7 +263,7 @@ impl NormalEquations {
             DMatrix::from_fn(size, size, |i, j| self.global[(i, j)] - dot6(&half[i], &half[j]));
         let gradient =
             DVector::from_fn(size, |i, _| self.global_gradient[i] - dot6(&half[i], &half_gradient));
-        Some((information, gradient))
+        Some(ReducedView { information, gradient })
     }
 
     /// The covariance of one frame set's pose step (ω, τ), given that of the global parameters.
@@ -299,6 +298,15 @@ impl NormalEquations {
         let alone = eliminated * by_board.transpose();
         Some(Matrix6::from_fn(|a, b| alone[(a, b)] + carried[(a, b)]))
     }
+}
+
+/// What one view by itself says of the parameters that all share, its pose eliminated.
+#[derive(Debug, Clone)]
+pub(crate) struct ReducedView {
+    /// Its part of the Schur complement, the inverse of a covariance for unit noise.
+    pub(crate) information: DMatrix<f64>,
+    /// Its part of the gradient of half the cost.
+    pub(crate) gradient: DVector<f64>,
 }
 
 /// How a sensor that is not the rig's own frame sees a step of the board's pose, and of its own:

@@ -4,10 +4,10 @@ use std::collections::BTreeSet;
 
 use nalgebra::{DMatrix, Matrix6, Vector3, Vector6};
 
-use crate::estimation::clustered_covariance::{FitCovariance, ReducedView};
+use crate::estimation::clustered_covariance::FitCovariance;
 use crate::estimation::joint::linearize::{Columns, LocalEquations, linearize_observation};
 use crate::estimation::joint::minimize::{Stop, walk};
-use crate::estimation::joint::normal::{ChainedPose, NormalEquations, Step};
+use crate::estimation::joint::normal::{ChainedPose, NormalEquations, ReducedView, Step};
 use crate::estimation::joint::{BoardObservation, FreeLens, Layout, State, moved};
 use crate::estimation::rgbd::covariance_with_shape::covariance_with_shape;
 use crate::estimation::rgbd::motion::{BoardMotion, TimeOffset};

@@ -2,10 +2,10 @@
 
 use nalgebra::{DMatrix, Matrix6};
 
-use crate::estimation::clustered_covariance::{FitCovariance, ReducedView};
+use crate::estimation::clustered_covariance::FitCovariance;
 use crate::estimation::joint::Layout;
 use crate::estimation::joint::depth_terms::{PlaneObservation, add_planes};
-use crate::estimation::joint::normal::NormalEquations;
+use crate::estimation::joint::normal::{NormalEquations, ReducedView};
 use crate::estimation::normal_probability::normal_probability;
 use crate::estimation::rgbd::corners::CornerBlocks;
 use crate::estimation::rgbd::planes::{Fit, Planes, scaled};
