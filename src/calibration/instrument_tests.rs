@@ -6,6 +6,7 @@ use crate::calibration::observations::ObservedFrameSet;
 use crate::calibration::sensor::SensorId;
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::problem::{BoardView, Correspondence, LensChoice};
+use crate::estimation::rig::FrameSetView;
 use crate::geometry::board::{BoardSize, Chessboard};
 use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::lens::{Lens, LensModel};
@@ -134,13 +135,13 @@ fn every_other_image_sensor_is_placed_beside_color() {
 fn a_rig_is_placed_by_what_its_cameras_saw_together() {
     let truth = beside();
     let seen = frame_sets(SensorKind::Infrared2, truth);
-    let of = |place: usize| {
+    let of = |sensor: usize| {
         let view = |seen: &ObservedFrameSet| {
-            let correspondences = seen.corners[place].1.clone();
-            ObservedFrameSet::of_view((
-                seen.number,
-                BoardView { name: seen.name.clone(), correspondences },
-            ))
+            let correspondences = seen.corners[sensor].1.clone();
+            ObservedFrameSet::of_view(FrameSetView {
+                frame_set: seen.number,
+                view: BoardView { name: seen.name.clone(), correspondences },
+            })
         };
         seen.iter().map(view).collect::<Vec<_>>()
     };

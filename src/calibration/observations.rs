@@ -56,9 +56,9 @@ pub struct ObservedFrameSet {
 
 impl ObservedFrameSet {
     /// A view of color alone.
-    pub fn of_view((number, view): (usize, BoardView)) -> Self {
+    pub fn of_view(FrameSetView { frame_set, view }: FrameSetView) -> Self {
         Self {
-            number,
+            number: frame_set,
             name: view.name,
             time_s: None,
             is_view: true,
@@ -87,6 +87,7 @@ impl InstrumentObservations {
     /// Of an instrument that is one sensor.
     pub fn of_views(board: Option<Target>, problem: CameraProblem) -> Self {
         let views = problem.views.into_iter().enumerate();
+        let views = views.map(|(frame_set, view)| FrameSetView { frame_set, view });
         let camera = CameraFrameSets {
             name: None,
             image_sensors: vec![(SensorKind::Color, problem.image_size)],

@@ -23,6 +23,7 @@ use crate::cli::sources::FrameSets;
 use crate::cli::{Failure, progress};
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::problem::{BoardView, LensChoice};
+use crate::estimation::rig::FrameSetView;
 use crate::geometry::lens::Lens;
 use crate::geometry::target::Target;
 use crate::imaging::frame::SensorKind;
@@ -245,13 +246,13 @@ fn views(
     searched: &[SearchedImage],
     kept: &[(usize, usize)],
     target: &Target,
-) -> Vec<(usize, BoardView)> {
+) -> Vec<FrameSetView> {
     let view = |(frame_set, index): &(usize, usize)| {
         let image = &searched[*index];
         let detection = image.answer.as_ref().ok()?.clone();
         let view = View { number: 0, frame: image.frame.clone(), detection };
         let view = BoardView { name: image.path.clone(), ..view.to_board_view(target) };
-        Some((*frame_set, view))
+        Some(FrameSetView { frame_set: *frame_set, view })
     };
     kept.iter().filter_map(view).collect()
 }
@@ -259,14 +260,14 @@ fn views(
 fn observations(
     camera: &NamedSource,
     (search, target): (&SearchArgs, Target),
-    (searched, views): (&[SearchedImage], Vec<(usize, BoardView)>),
+    (searched, views): (&[SearchedImage], Vec<FrameSetView>),
     given: &[GivenLens],
 ) -> Result<CameraFrameSets, Failure> {
     let given = given.iter().find(|given| given.camera == camera.name);
     let given = given.map(given_lens).transpose()?;
     let name = Some(camera.name.clone());
     if calibrate_rgbd::has_depth(&camera.source, &search.reading) {
-        let number = |(number, view): &(usize, BoardView)| (view.name.clone(), *number);
+        let number = |seen: &FrameSetView| (seen.view.name.clone(), seen.frame_set);
         let numbers: BTreeMap<String, usize> = views.iter().map(number).collect();
         let source = (camera.source.as_str(), &search.reading);
         let seen = calibrate_rgbd::views_of(source, target, search.detect_options(), &numbers)?;
