@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DVector, Matrix6};
 use crate::estimation::effects::board_basis::BoardBasis;
 use crate::estimation::effects::effect::Effect;
 use crate::estimation::effects::effects_fit::EffectsFit;
-use crate::estimation::effects::evidence::Variances;
+use crate::estimation::effects::evidence::{EffectVariance, Variances};
 use crate::estimation::effects::state::{EffectsState, Scene};
 use crate::estimation::joint::State;
 use crate::geometry::lens::Lens;
@@ -27,8 +27,7 @@ impl EffectsFit {
     ) -> Option<Self> {
         let (p, q) = (agreement, 1.0 - agreement);
         let variances = union(full, &self.variances, &still.variances);
-        let effects: Vec<Effect> = variances.0.iter().map(|(effect, _)| *effect).collect();
-        let (basis, _) = full.only(&effects);
+        let (basis, _) = full.only(&variances.effects());
         let [own, other] = [self, still].map(|fit| fit.indices_in(&basis));
         let [own_shape, other_shape] = [(self, &own), (still, &other)]
             .map(|(fit, indices)| widened(&fit.state.shape, indices, basis.len()));
@@ -81,8 +80,7 @@ impl EffectsFit {
 
     /// Where its coefficients lie in those of a wider basis.
     fn indices_in(&self, wider: &BoardBasis) -> Vec<usize> {
-        let effects: Vec<Effect> = self.variances.0.iter().map(|(effect, _)| *effect).collect();
-        wider.only(&effects).1
+        wider.only(&self.variances.effects()).1
     }
 }
 
@@ -90,7 +88,10 @@ impl EffectsFit {
 fn union(full: &BoardBasis, a: &Variances, b: &Variances) -> Variances {
     let heights = full.height_groups().into_iter().map(Effect::Height);
     let others = [Effect::Stretch, Effect::Own, Effect::Rotation, Effect::Translation];
-    let known = |effect: Effect| Some((effect, a.of(effect).or_else(|| b.of(effect))?));
+    let known = |effect: Effect| {
+        let lambda = a.of(effect).or_else(|| b.of(effect))?;
+        Some(EffectVariance { effect, lambda })
+    };
     Variances(heights.chain(others).filter_map(known).collect())
 }
 

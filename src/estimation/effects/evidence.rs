@@ -17,9 +17,20 @@ use crate::estimation::effects::six_columns::{by_inverse_transpose, square_of_si
 use crate::estimation::effects::state::EffectsState;
 use crate::estimation::effects::system::{System, ViewPart};
 
-/// The effects that are in the model, each with its λ.
+/// An effect that is in the model.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct EffectVariance {
+    pub(crate) effect: Effect,
+    /// λ: the noise's variance over the effect's.
+    pub(crate) lambda: f64,
+}
+
+/// The effects that are in the model.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Variances(pub(crate) Vec<(Effect, f64)>);
+pub(crate) struct Variances(pub(crate) Vec<EffectVariance>);
+
+/// What λ is multiplied by of an effect that is held at nothing.
+const HELD: f64 = 1e8;
 
 /// A component whose λ exceeds its information by this factor does nothing.
 const NOTHING: f64 = 1e9;
@@ -42,14 +53,25 @@ impl Variances {
                 range.map(|k| system.global[(lens + k, lens + k)]).sum()
             }
         };
-        let start = |effect: &Effect| {
-            (*effect, (information(effect) / (4.0 * count)).max(f64::MIN_POSITIVE))
+        let start = |effect: &Effect| EffectVariance {
+            effect: *effect,
+            lambda: (information(effect) / (4.0 * count)).max(f64::MIN_POSITIVE),
         };
         Self(effects.iter().map(start).collect())
     }
 
+    pub(super) fn effects(&self) -> Vec<Effect> {
+        self.0.iter().map(|one| one.effect).collect()
+    }
+
+    /// Whether motion is in the model.
     pub(super) fn moves(&self) -> bool {
-        self.0.iter().any(|(effect, _)| effect.is_motion())
+        self.0.iter().any(|one| one.effect.is_motion())
+    }
+
+    /// Whether the board's shape is.
+    pub(super) fn shapes(&self) -> bool {
+        self.0.iter().any(|one| !one.effect.is_motion())
     }
 
     /// λ of the six numbers of a motion.
@@ -61,19 +83,20 @@ impl Variances {
     }
 
     pub(super) fn of(&self, effect: Effect) -> Option<f64> {
-        self.0.iter().find(|(other, _)| *other == effect).map(|(_, lambda)| *lambda)
+        self.0.iter().find(|one| one.effect == effect).map(|one| one.lambda)
     }
 
     /// The same with some effects held at nothing.
     pub(super) fn held(&self, effects: &[Effect]) -> Self {
-        let of = |(effect, lambda): &(Effect, f64)| {
-            (*effect, if effects.contains(effect) { lambda * 1e8 } else { *lambda })
+        let held = |one: &EffectVariance| match effects.contains(&one.effect) {
+            true => EffectVariance { lambda: one.lambda * HELD, ..*one },
+            false => *one,
         };
-        Self(self.0.iter().map(of).collect())
+        Self(self.0.iter().map(held).collect())
     }
 
     pub(super) fn without(&self, effect: Effect) -> Self {
-        Self(self.0.iter().filter(|(other, _)| *other != effect).copied().collect())
+        Self(self.0.iter().filter(|one| one.effect != effect).copied().collect())
     }
 
     /// The same with a stretch of the board as large as what else is uneven of it at least: views
@@ -81,7 +104,7 @@ impl Variances {
     pub(super) fn with_stretch_as_others(mut self, basis: &BoardBasis) -> Self {
         // Mean squares over the points, in units of the noise: functions over all points have a
         // mean square of 1, and a point's own offset is of one point.
-        let mean_square = |(effect, lambda): &(Effect, f64)| match effect {
+        let mean_square = |EffectVariance { effect, lambda }: &EffectVariance| match effect {
             Effect::Height(_) => effect.range(basis).len() as f64 / lambda,
             Effect::Own => 2.0 / lambda,
             Effect::Stretch | Effect::Rotation | Effect::Translation => 0.0,
@@ -89,8 +112,8 @@ impl Variances {
         let others: f64 = self.0.iter().map(mean_square).sum();
         if others > 0.0 {
             let most = Effect::Stretch.range(basis).len() as f64 / others;
-            for (_, lambda) in self.0.iter_mut().filter(|(effect, _)| *effect == Effect::Stretch) {
-                *lambda = lambda.min(most);
+            for one in self.0.iter_mut().filter(|one| one.effect == Effect::Stretch) {
+                one.lambda = one.lambda.min(most);
             }
         }
         self
@@ -98,7 +121,7 @@ impl Variances {
 
     /// The penalty of a state: what its effects cost under these variances.
     pub(super) fn penalty(&self, state: &EffectsState, basis: &BoardBasis, good: &[usize]) -> f64 {
-        let squares = |(effect, lambda): &(Effect, f64)| {
+        let squares = |EffectVariance { effect, lambda }: &EffectVariance| {
             let range = effect.range(basis);
             let sum: f64 = if effect.is_motion() {
                 let of_view = |view: &usize| -> f64 {
@@ -118,8 +141,10 @@ impl Variances {
 /// `basis`.
 fn prior_information(variances: &Variances, lens: usize, basis: &BoardBasis) -> Vec<f64> {
     let mut of = vec![0.0; lens + basis.len()];
-    for (effect, lambda) in variances.0.iter().filter(|(effect, _)| !effect.is_motion()) {
-        effect.range(basis).for_each(|k| of[lens + k] = *lambda);
+    for EffectVariance { effect, lambda } in &variances.0 {
+        if !effect.is_motion() {
+            effect.range(basis).for_each(|k| of[lens + k] = *lambda);
+        }
     }
     of
 }
@@ -146,6 +171,14 @@ pub(super) struct Reduced<'a> {
     eliminated: Vec<Eliminated>,
     /// ln |motion's block + Λ| − ln |Λ|, summed.
     motion_determinants: f64,
+}
+
+/// The noise of the residuals.
+struct ResidualNoise {
+    /// Its variance, in units of the corners' own.
+    square: f64,
+    /// Its degrees of freedom.
+    freedom: f64,
 }
 
 impl<'a> Reduced<'a> {
@@ -206,7 +239,7 @@ impl<'a> Reduced<'a> {
 
     /// The posterior with its covariance.
     pub(super) fn posterior(self, state: &EffectsState) -> Posterior {
-        let (noise_square, _) = self.noise(state);
+        let noise_square = self.noise_square(state);
         let mut root = self.factor.root_of_inverse();
         for (mut column, scale) in root.column_iter_mut().zip(&self.scale) {
             column *= *scale;
@@ -234,8 +267,8 @@ impl<'a> Reduced<'a> {
         }
     }
 
-    /// The noise's variance at the mode and its degrees of freedom, without the posterior.
-    fn noise(&self, state: &EffectsState) -> (f64, f64) {
+    /// The noise at the mode, without the posterior.
+    fn noise(&self, state: &EffectsState) -> ResidualNoise {
         // Through the factor alone: gᵀ S⁻¹ g = |L⁻¹ g|².
         let scaled = self.gradient.component_mul(&self.scale);
         let decrease = self.factor.half_square(&scaled);
@@ -246,22 +279,22 @@ impl<'a> Reduced<'a> {
             - decrease;
         let views = self.system.views.len();
         let freedom = (self.system.residual_count as f64 - (self.lens + 6 * views) as f64).max(1.0);
-        ((cost / freedom).max(f64::MIN_POSITIVE), freedom)
+        ResidualNoise { square: (cost / freedom).max(f64::MIN_POSITIVE), freedom }
     }
 
     /// The noise's variance at the mode.
     pub(super) fn noise_square(&self, state: &EffectsState) -> f64 {
-        self.noise(state).0
+        self.noise(state).square
     }
 
     /// The logarithm of the evidence, without the posterior.
     pub(super) fn log_evidence(&self, state: &EffectsState) -> f64 {
-        let (noise_square, freedom) = self.noise(state);
+        let ResidualNoise { square, freedom } = self.noise(state);
         let log_determinants = self.factor.log_determinant()
             - 2.0 * self.scale.iter().map(|s| s.ln()).sum::<f64>()
             - self.lambda[self.lens..].iter().map(|l| l.ln()).sum::<f64>()
             + self.motion_determinants;
-        -0.5 * (freedom * (noise_square.ln() + 1.0) + log_determinants)
+        -0.5 * (freedom * (square.ln() + 1.0) + log_determinants)
     }
 
     fn observations(&self) -> Vec<usize> {
@@ -284,6 +317,13 @@ pub(super) struct Posterior {
     pub(super) noise_square: f64,
 }
 
+/// Variances after an update.
+pub(super) struct UpdatedVariances {
+    pub(super) variances: Variances,
+    /// How many coefficients of each effect the data determine.
+    pub(super) determined: Vec<f64>,
+}
+
 /// λ is at least this part of an effect's information: of exact corners too, what no corner shows
 /// (a board that moves as a whole) must stay determined by its prior.
 const LEAST_LAMBDA: f64 = 1e-10;
@@ -302,17 +342,16 @@ impl Posterior {
         self.ups.get(k).copied()
     }
 
-    /// MacKay's update of each variance; with how many coefficients of each effect the data
-    /// determine.
+    /// MacKay's update of each variance.
     pub(super) fn updated(
         &self,
         system: &System,
         state: &EffectsState,
         (basis, lens): (&BoardBasis, usize),
         variances: &Variances,
-    ) -> (Variances, Vec<f64>) {
+    ) -> UpdatedVariances {
         let mut determined = Vec::new();
-        let update = |(effect, lambda): &(Effect, f64)| {
+        let update = |EffectVariance { effect, lambda }: &EffectVariance| {
             let range = effect.range(basis);
             let (mut trace, mut squares, mut count) = (0.0, 0.0, 0.0);
             let mut information = 0.0;
@@ -339,10 +378,11 @@ impl Posterior {
             determined.push(known);
             let next = self.noise_square * known / squares.max(f64::MIN_POSITIVE);
             let next = next.clamp(lambda / LARGEST_CHANGE, lambda * LARGEST_CHANGE);
-            (*effect, next.max(LEAST_LAMBDA * information / count))
+            let lambda = next.max(LEAST_LAMBDA * information / count);
+            EffectVariance { effect: *effect, lambda }
         };
-        let next = Variances(variances.0.iter().map(update).collect());
-        (next, determined)
+        let variances = Variances(variances.0.iter().map(update).collect());
+        UpdatedVariances { variances, determined }
     }
 
     /// How far each effect raises the logarithm of the evidence, the other variances as they are:
@@ -355,7 +395,7 @@ impl Posterior {
         (basis, lens): (&BoardBasis, usize),
         variances: &Variances,
     ) -> Vec<f64> {
-        let gain = |(effect, lambda): &(Effect, f64)| {
+        let gain = |EffectVariance { effect, lambda }: &EffectVariance| {
             let range = effect.range(basis);
             if !effect.is_motion() {
                 let (first, size) = (lens + range.start, range.len());

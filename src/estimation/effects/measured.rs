@@ -9,7 +9,7 @@ use crate::estimation::measured_board::{MeasuredBoard, RollingShutter, bow_m};
 impl MeasuredBoard {
     /// `None` where the board's shape is not in the model; `center` is that of the problem's points.
     pub(crate) fn of(effects: &EffectsFit, center: Vector3<f64>) -> Option<Self> {
-        if effects.variances.0.iter().all(|(effect, _)| effect.is_motion()) {
+        if !effects.variances.shapes() {
             return None;
         }
         let basis = &effects.basis;
@@ -39,7 +39,7 @@ impl MeasuredBoard {
 impl RollingShutter {
     /// `None` where motion is not in the model.
     pub(crate) fn of(effects: &EffectsFit, good: &[usize]) -> Option<Self> {
-        if !effects.variances.0.iter().any(|(effect, _)| effect.is_motion()) || good.is_empty() {
+        if !effects.variances.moves() || good.is_empty() {
             return None;
         }
         let lever = effects.basis.half_extent[0].hypot(effects.basis.half_extent[1]);

@@ -7,7 +7,7 @@ use nalgebra::{Vector3, Vector6};
 use crate::estimation::effects::board_basis::BoardBasis;
 use crate::estimation::effects::effect::{Effect, Wanted};
 use crate::estimation::effects::effects_fit::EffectsFit;
-use crate::estimation::effects::evidence::{Posterior, Reduced, Variances};
+use crate::estimation::effects::evidence::{Posterior, Reduced, UpdatedVariances, Variances};
 use crate::estimation::effects::hints;
 use crate::estimation::effects::state::{EffectsState, Scene};
 use crate::estimation::effects::system::System;
@@ -25,7 +25,18 @@ const LEAST_GAIN: f64 = 1.5;
 /// Steps before effects that nothing shows are taken out; the rest is quicker without them.
 const FIRST_STEPS: usize = 3;
 
+/// Steps after effects were taken out, or corners chosen anew: both are near then.
 pub(super) const MAX_STEPS: usize = 5;
+
+/// State and variances have settled where no ln λ changes by more than this, of effects of which the
+/// data determine a coefficient or more, …
+const SETTLED_LOG_LAMBDA: f64 = 0.1;
+/// … and a step lowers the sum of squares by less than this, in units of the noise's variance: 0.17
+/// standard deviations from the mode. Neither was swept.
+const SETTLED_COST: f64 = 0.03;
+
+/// How often a step that raises the cost is halved before there is none.
+const MAX_HALVINGS: usize = 8;
 
 /// Steps with smooth shapes alone.
 const ROUGH_STEPS: usize = 8;
@@ -66,9 +77,10 @@ impl EffectSearch {
             hints::own_offsets_stand_out(&near.system, noise_square) || wanted.shape_for_certain;
         let state = EffectsState { shape, ..near.state };
         let mut next = Self::from_state(scene, state, (wanted, own))?;
-        for (effect, lambda) in &mut next.variances.0 {
+        for one in &mut next.variances.0 {
             // What the rough shapes hid comes back sooner from too wide a variance.
-            *lambda = near.variances.of(*effect).map_or(*lambda, |found| found.min(*lambda));
+            let found = near.variances.of(one.effect);
+            one.lambda = found.map_or(one.lambda, |found| found.min(one.lambda));
         }
         Some(next)
     }
@@ -91,8 +103,8 @@ impl EffectSearch {
         (fixed, found): (State, &EffectsFit),
         moves: bool,
     ) -> Option<Self> {
-        let effects = found.variances.0.iter().map(|(effect, _)| *effect);
-        let effects: Vec<Effect> = effects.filter(|effect| moves || !effect.is_motion()).collect();
+        let mut effects = found.variances.effects();
+        effects.retain(|effect| moves || !effect.is_motion());
         let state = found.state_in(scene, fixed, moves);
         let mut walk = Self::of_effects(scene, state, &effects)?.with_variances_of(found);
         walk.settle(scene, ROUGH_STEPS)?;
@@ -100,8 +112,8 @@ impl EffectSearch {
     }
 
     fn with_variances_of(mut self, found: &EffectsFit) -> Self {
-        for (effect, lambda) in &mut self.variances.0 {
-            *lambda = found.variances.of(*effect).unwrap_or(*lambda);
+        for one in &mut self.variances.0 {
+            one.lambda = found.variances.of(one.effect).unwrap_or(one.lambda);
         }
         self
     }
@@ -186,14 +198,14 @@ impl EffectSearch {
     }
 
     pub(super) fn moves(&self) -> bool {
-        self.variances.0.iter().any(|(effect, _)| effect.is_motion())
+        self.variances.moves()
     }
 
     /// A walk on from here without the motion, in another scene.
     pub(super) fn still(&self, scene: Scene<'_>) -> Option<Self> {
         let mut state = self.state.clone();
-        for (effect, _) in self.variances.0.iter().filter(|(effect, _)| effect.is_motion()) {
-            state.clear(*effect, &self.basis);
+        for effect in self.variances.effects().into_iter().filter(|effect| effect.is_motion()) {
+            state.clear(effect, &self.basis);
         }
         let system = System::at(self.narrowed(scene, &self.basis), &state)?;
         let (variances, basis) = (self.variances.clone(), self.basis.clone());
@@ -216,17 +228,19 @@ impl EffectSearch {
         for _ in 0..max_steps {
             let posterior = self.posterior(scene)?;
             let of = (scene.basis, scene.layout.len);
-            let (next, determined) =
+            let UpdatedVariances { variances: next, determined } =
                 posterior.updated(&self.system, &self.state, of, &self.variances);
             let cost =
                 self.system.cost + self.variances.penalty(&self.state, scene.basis, scene.good);
             let decrease = self.step(scene, &posterior, cost)?;
             let changes = next.0.iter().zip(&self.variances.0).zip(&determined);
             let changed = changes
-                .map(|((a, b), known)| (a.1 / b.1).ln().abs() * known.sqrt().min(1.0))
+                .map(|((next, now), known)| {
+                    (next.lambda / now.lambda).ln().abs() * known.sqrt().min(1.0)
+                })
                 .fold(0.0, f64::max);
             self.variances = next.with_stretch_as_others(scene.basis);
-            if changed < 0.1 && decrease < 0.03 * posterior.noise_square {
+            if changed < SETTLED_LOG_LAMBDA && decrease < SETTLED_COST * posterior.noise_square {
                 break;
             }
         }
@@ -236,7 +250,7 @@ impl EffectSearch {
     /// A step that lowers the penalized cost; answers by how much.
     fn step(&mut self, scene: Scene<'_>, posterior: &Posterior, cost: f64) -> Option<f64> {
         let mut part = 1.0;
-        for _ in 0..8 {
+        for _ in 0..MAX_HALVINGS {
             let next = self.stepped(scene, posterior, part);
             let system = next.as_ref().and_then(|next| System::at(scene, next));
             if let (Some(next), Some(system)) = (next, system) {
@@ -288,8 +302,7 @@ impl EffectSearch {
             self.variances = self.variances.without(*effect);
             self.state.clear(*effect, &basis);
         }
-        let left: Vec<Effect> = self.variances.0.iter().map(|(effect, _)| *effect).collect();
-        let (narrow, kept) = basis.only(&left);
+        let (narrow, kept) = basis.only(&self.variances.effects());
         self.state.shape = kept.iter().map(|k| self.state.shape[*k]).collect();
         self.basis = Rc::new(narrow);
         let basis = Rc::clone(&self.basis);
@@ -311,7 +324,7 @@ impl EffectSearch {
                 .0
                 .iter()
                 .zip(&gains)
-                .map(|((effect, _), gain)| (*effect, *gain))
+                .map(|(one, gain)| (one.effect, *gain))
                 .filter(|(effect, _)| effect.is_motion() == motion)
                 .collect();
             let certain = if motion { wanted.motion_for_certain } else { wanted.shape_for_certain };
