@@ -27,9 +27,9 @@ use crate::daemon::sources::{plan_of, rig_of};
 use crate::document::time;
 use crate::http::tls::{Certificate, Tls};
 use crate::http::{self, Access, Service};
-use crate::pipeline::FleetOptions;
 use crate::pipeline::fleet::Fleet;
 use crate::pipeline::recording_retention::RecordingRetention;
+use crate::pipeline::{Exchange, FleetOptions};
 use crate::store::{Retention, Store};
 
 /// Threads that answer requests; frames and solves have their own.
@@ -80,7 +80,8 @@ fn run_on(
     let plans = config.cameras.iter().map(plan_of).collect();
     let options = FleetOptions { auto_approve: config.auto_approve, ..FleetOptions::default() };
     let fleet = Arc::new(Fleet::start(plans, Arc::clone(&store), &options)?);
-    fleet.start_rigs(config.rigs.iter().map(rig_of).collect())?;
+    let rigs = config.rigs.iter().map(rig_of).collect();
+    fleet.exchange(Exchange { rigs, ..Exchange::default() })?;
     if config.cameras.is_empty() {
         tracing::warn!("no camera is configured; give a file with [[camera]] tables with --config");
     }

@@ -1,5 +1,6 @@
 //! What is known of a session from outside: the record that is stored, served and resumed from.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::calibration::admission::Rejections;
@@ -60,7 +61,7 @@ pub enum SessionState {
     Finished,
     /// Has none, and says why; its views stay.
     Failed,
-    /// Was given up by request.
+    /// Was given up, by request or because a camera's source is another one now; its views stay.
     Aborted,
 }
 
@@ -168,6 +169,9 @@ pub struct SessionRecord {
     /// record itself says of frames and boards is then the sum, of coverage and estimate the worst
     /// camera's, and of views the frame sets kept.
     pub members: Vec<SessionMember>,
+    /// What the images of each camera come from, by its name, in words: views of another source are
+    /// of another lens.
+    pub sources: BTreeMap<String, String>,
     /// What was asked for.
     pub request: SessionRequest,
     /// Where it stands.
@@ -213,6 +217,7 @@ impl SessionRecord {
             id: id.to_owned(),
             camera: camera.to_owned(),
             members: Vec::new(),
+            sources: BTreeMap::new(),
             request,
             state: SessionState::Collecting,
             reason: None,
@@ -228,6 +233,20 @@ impl SessionRecord {
             estimate: None,
             calibration: None,
         }
+    }
+
+    /// Takes what a camera's images come from now, where it is not known yet.
+    ///
+    /// # Errors
+    /// Why it cannot go on with images of `source`, in words: those before came from another one.
+    pub fn take_source(&mut self, camera: &str, source: &str) -> Result<(), String> {
+        let known = self.sources.entry(camera.to_owned()).or_insert_with(|| source.to_owned());
+        if *known == source {
+            return Ok(());
+        }
+        Err(format!(
+            "the source of camera `{camera}` is {source} now, was {known}: the views of both would mix; what was gathered stays, start a new session"
+        ))
     }
 
     /// What it says of the camera, of an instrument that is one.

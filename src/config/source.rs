@@ -105,6 +105,50 @@ impl SourceConfig {
         )
     }
 
+    /// What decides the geometry of its images, in words: the device or the recording, its mode (a
+    /// driver may crop or bin by size, format and rate), focus and zoom. Images of two sources that
+    /// agree in it are of one lens; it says nothing of pace, exposure or who carries the board.
+    pub fn image_source(&self) -> String {
+        let mut words = vec![self.kind().to_owned()];
+        match self {
+            Self::V4l2 { device, mode, controls, lock: _ } => {
+                words.push(device.display().to_string());
+                words.extend(mode_words(mode));
+                let is_optical = |name: &str| OPTICAL.iter().any(|kind| name.starts_with(kind));
+                let optical = controls.iter().filter(|(name, _)| is_optical(name));
+                words.extend(optical.map(|(name, value)| format!("{name}={value}")));
+            }
+            Self::Uvc { camera, mode, backend } => {
+                words.push(match camera {
+                    UvcSelector::Index(index) => index.to_string(),
+                    UvcSelector::Name(name) => format!("{name:?}"),
+                });
+                words.extend(mode_words(mode));
+                words.push(backend.name().to_owned());
+            }
+            Self::Realsense { serial, mode, settings } => {
+                words.extend(serial.clone());
+                words.extend(mode_words(mode));
+                words.extend(settings.preset.map(|preset| preset.name().to_owned()));
+            }
+            Self::RealsenseBag { path } => words.push(path.display().to_string()),
+            Self::Ros2 { topic, depth, domain_id } => {
+                words.push(topic.clone());
+                words.extend(depth.clone());
+                words.extend(domain_id.map(|id| format!("domain {id}")));
+            }
+            Self::Recording { path, topics, fastest: _, repeat: _, fps: _ } => {
+                words.push(path.display().to_string());
+                words.extend(topics.iter().cloned());
+            }
+            Self::Simulator { seed, size, seat, fps: _, operator: _, fastest: _ } => {
+                words.push(format!("seed {seed} {}x{}", size.width, size.height));
+                words.extend(seat.map(|seat| format!("seat {seat}")));
+            }
+        }
+        words.join(" ")
+    }
+
     /// The name of its kind.
     pub fn kind(&self) -> &'static str {
         match self {
@@ -116,6 +160,16 @@ impl SourceConfig {
             Self::Simulator { .. } => "simulator",
         }
     }
+}
+
+/// How the names of controls begin that move the lens, or what of the sensor is read.
+const OPTICAL: [&str; 4] = ["focus", "zoom", "pan", "tilt"];
+
+/// What is asked for of a mode.
+fn mode_words(mode: &ModeRequest) -> Vec<String> {
+    let size = mode.size.map(|size| format!("{}x{}", size.width, size.height));
+    let fps = mode.fps.map(|fps| format!("{fps} fps"));
+    [size, mode.format.clone(), fps].into_iter().flatten().collect()
 }
 
 /// Which USB camera.

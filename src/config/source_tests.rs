@@ -181,3 +181,32 @@ fn what_cannot_be_is_refused_at_its_key() {
         );
     }
 }
+
+/// A session goes on with views of one lens only: what may change its images' geometry is in the
+/// words, what may not is not.
+#[test]
+fn the_image_source_is_what_decides_the_geometry() {
+    let words = |text: &str| source(text).unwrap().image_source();
+    let v4l2 =
+        |keys: &str| words(&format!("{{ kind = \"v4l2\", device = \"/dev/video0\"{keys} }}"));
+    let plain = v4l2("");
+    assert_eq!(plain, "v4l2 /dev/video0");
+    for same in [", lock = true", ", controls = { exposure_absolute = 9, gain = 3 }"] {
+        assert_eq!(v4l2(same), plain);
+    }
+    let full = ", width = 640, height = 480, format = \"MJPG\", fps = 30, controls = { focus_absolute = 9, gain = 3 }";
+    assert_eq!(v4l2(full), "v4l2 /dev/video0 640x480 MJPG 30 fps focus_absolute=9");
+    let recording = |keys: &str| words(&format!("{{ kind = \"recording\", path = \"/\"{keys} }}"));
+    assert_eq!(recording(""), "recording /");
+    for same in [", pace = \"fastest\"", ", repeat = true", ", fps = 3"] {
+        assert_eq!(recording(same), recording(""));
+    }
+    let rgbd = recording(", topic = \"/a/color\", depth = \"/a/depth\"");
+    assert_eq!(rgbd, "recording / /a/color /a/depth");
+    let simulator = |keys: &str| words(&format!("{{ kind = \"simulator\"{keys} }}"));
+    assert_eq!(simulator(", seat = 1"), "simulator seed 1 640x480 seat 1");
+    let carried = simulator(", operator = \"follows\", pace = \"fastest\", fps = 5");
+    assert_eq!(carried, simulator(""));
+    assert_eq!(words("{ kind = \"realsense\", serial = \"7\", emitter = true }"), "realsense 7");
+    assert_eq!(words("{ kind = \"ros2\", topic = \"/a\", domain_id = 7 }"), "ros2 /a domain 7");
+}

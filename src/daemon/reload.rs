@@ -1,5 +1,6 @@
 //! SIGHUP: the configuration is read again, the cameras and rigs that changed are exchanged, and
-//! tokens and certificate are those of the files; the others go on undisturbed.
+//! tokens and certificate are those of the files; the others go on undisturbed. A session of a
+//! camera that is exchanged goes on if the new one has the same source, and ends otherwise.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -11,6 +12,7 @@ use crate::daemon::error::DaemonError;
 use crate::daemon::sources::{plan_of, rig_of};
 use crate::http::Access;
 use crate::http::tls::{Certificate, Tls};
+use crate::pipeline::Exchange;
 use crate::pipeline::fleet::Fleet;
 
 /// What is running, and from where it was read.
@@ -69,13 +71,13 @@ impl Reload {
             }
         };
         let changes = Changes::between(&self.config, &config);
-        self.fleet.stop_rigs(&changes.stopped_rigs);
-        let plans = changes.started.iter().map(plan_of).collect();
-        let exchanged = self.fleet.replace_cameras(&changes.stopped, plans);
-        let exchanged = exchanged.and_then(|()| {
-            self.fleet.start_rigs(changes.started_rigs.iter().map(rig_of).collect())
-        });
-        if let Err(error) = exchanged {
+        let exchange = Exchange {
+            stopped_rigs: changes.stopped_rigs.clone(),
+            stopped_cameras: changes.stopped.clone(),
+            cameras: changes.started.iter().map(plan_of).collect(),
+            rigs: changes.started_rigs.iter().map(rig_of).collect(),
+        };
+        if let Err(error) = self.fleet.exchange(exchange) {
             tracing::error!("not everything could be exchanged: {error}");
         }
         let cameras: Vec<&str> = config.cameras.iter().map(|camera| camera.name.as_str()).collect();

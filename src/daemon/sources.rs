@@ -26,6 +26,7 @@ pub fn plan_of(camera: &CameraConfig) -> CameraPlan {
     CameraPlan {
         name: camera.name.clone(),
         kind: camera.source.kind().to_owned(),
+        image_source: camera.source.image_source(),
         open: opener_of(&camera.source),
         may_stall: camera.source.may_stall(),
     }

@@ -149,7 +149,8 @@ pub enum SessionStateName {
     Finished,
     /// There is none, and `reason` says why; the views stay.
     Failed,
-    /// Given up by request.
+    /// Given up: by request, or because a camera's source in the configuration is another one now;
+    /// the views stay.
     Aborted,
 }
 
@@ -189,6 +190,10 @@ pub struct SessionDocument {
     /// and `views_kept` counts moments.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub cameras: Vec<SessionMemberDocument>,
+    /// What the images of each camera come from, by its name: the device or the recording, and its
+    /// mode. A session never mixes two.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub sources: BTreeMap<String, String>,
     /// Where it stands.
     pub state: SessionStateName,
     /// Why it failed, waits or was given up.
@@ -232,6 +237,7 @@ impl From<&SessionRecord> for SessionDocument {
             id: record.id.clone(),
             camera: record.camera.clone(),
             cameras: record.members.iter().map(SessionMemberDocument::from).collect(),
+            sources: record.sources.clone(),
             state: record.state.into(),
             reason: record.reason.clone(),
             started_at: time::from_utc_ns(record.started_at_ns),
@@ -271,6 +277,7 @@ impl SessionDocument {
             id: self.id.clone(),
             camera: self.camera.clone(),
             members: self.cameras.iter().map(SessionMember::try_from).collect::<Result<_, _>>()?,
+            sources: self.sources.clone(),
             request: (&start).try_into()?,
             state: self.state.into(),
             reason: self.reason.clone(),

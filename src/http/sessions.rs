@@ -165,7 +165,14 @@ pub(super) async fn abort(
     let aborted = match shared.fleet.abort_session(&id).await {
         Err(EndError::UnknownSession { .. }) => {
             let fleet = Arc::clone(&shared.fleet);
-            on_a_blocking_thread(move || fleet.abort_stored(&id)).await?
+            let asked = id.clone();
+            match on_a_blocking_thread(move || fleet.abort_stored(&asked)).await? {
+                // Its camera was being exchanged, and goes on with it now.
+                Err(EndError::Over { state, .. }) if !state.is_over() => {
+                    shared.fleet.abort_session(&id).await
+                }
+                aborted => aborted,
+            }
         }
         aborted => aborted,
     };

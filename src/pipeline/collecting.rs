@@ -27,8 +27,14 @@ use crate::store::SensorView;
 
 impl SessionThread {
     /// Goes on with a session that an earlier run of the daemon left.
-    pub(super) fn resume(&mut self, record: SessionRecord) {
+    pub(super) fn resume(&mut self, mut record: SessionRecord) {
         let name = self.instrument.name.clone();
+        if let Err(reason) = self.take_sources(&mut record) {
+            let (session, actions) = Session::give_up(record, &reason, utc_now_ns());
+            self.session = Some(session);
+            self.perform(actions);
+            return;
+        }
         let stored = self.store.sensor_views(&record.id).unwrap_or_else(|error| {
             tracing::error!(instrument = name, "kept views are left out: {error}");
             Vec::new()
@@ -49,6 +55,12 @@ impl SessionThread {
         }
         self.perform(actions);
         self.show();
+    }
+
+    /// Takes what the cameras' images come from.
+    fn take_sources(&self, record: &mut SessionRecord) -> Result<(), String> {
+        let mut cameras = self.instrument.cameras.iter();
+        cameras.try_for_each(|camera| record.take_source(&camera.name, &camera.image_source))
     }
 
     /// The session of `record` with its stored views, and what to do first.
@@ -145,7 +157,10 @@ impl SessionThread {
             return Err(StartError::Store { detail: unstored.reason().to_owned() });
         }
         let id = Ulid::generate().to_string();
-        let record = SessionRecord::begin(&id, &instrument.name, request, utc_now_ns());
+        let mut record = SessionRecord::begin(&id, &instrument.name, request, utc_now_ns());
+        for camera in &instrument.cameras {
+            record.sources.insert(camera.name.clone(), camera.image_source.clone());
+        }
         let session = Session::begin(record, &instrument.member_names(), &self.admission);
         let record = session.record().clone();
         self.acquire(&id)?;

@@ -1,8 +1,8 @@
 //! All cameras and rigs of the daemon as one live object: the only thing that the layers above talk
-//! to. What concerns sessions is in `fleet_sessions`.
+//! to. What concerns sessions is in `fleet_sessions`, what exchanges cameras in `fleet_exchange`.
 
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard};
+use std::sync::{Arc, Mutex, PoisonError, RwLock, RwLockReadGuard};
 
 use tokio::sync::watch;
 
@@ -14,7 +14,7 @@ use crate::pipeline::camera_status::{CameraState, CameraStatus};
 use crate::pipeline::clock::utc_now_ns;
 use crate::pipeline::event::{CalibrationEvent, EventKind, EventLog, EventStream};
 use crate::pipeline::fleet_error::{ApproveError, FleetError};
-use crate::pipeline::instrument::{Instrument, RigPlan, RigStatus};
+use crate::pipeline::instrument::{Instrument, RigStatus};
 use crate::pipeline::live_camera::LiveCamera;
 use crate::pipeline::live_frame::LiveFrame;
 use crate::pipeline::metrics::Metrics;
@@ -26,8 +26,7 @@ use crate::pipeline::recorder::{RecordError, RecordingLimits, RecordingState, Re
 use crate::pipeline::recording_notes;
 use crate::pipeline::recording_retention::{RecordingRetention, recordings_folder};
 use crate::pipeline::running::{
-    CameraPlan, FleetOptions, RunningCamera, RunningInstrument, SharedParts, start_camera,
-    start_rig, stop, stop_and_wait,
+    CameraPlan, Exchange, FleetOptions, RunningCamera, RunningInstrument, SharedParts, stop,
 };
 use crate::pipeline::store_health::StoreHealth;
 use crate::pipeline::unknown::{UnknownCamera, UnknownRig};
@@ -36,12 +35,13 @@ use crate::store::Store;
 /// All cameras and rigs, live. Reading never waits on a camera or a solve.
 #[derive(Debug)]
 pub struct Fleet {
-    cameras: RwLock<Vec<RunningCamera>>,
-    rigs: RwLock<Vec<RunningInstrument>>,
-    /// Held while cameras are exchanged: those are unknown then, and their sessions are theirs still.
-    exchange: Mutex<()>,
-    shared: SharedParts,
-    options: FleetOptions,
+    pub(super) cameras: RwLock<Vec<RunningCamera>>,
+    pub(super) rigs: RwLock<Vec<RunningInstrument>>,
+    /// Held while cameras and rigs are exchanged: those are unknown then, and their sessions are
+    /// theirs still.
+    pub(super) exchange: Mutex<()>,
+    pub(super) shared: SharedParts,
+    pub(super) options: FleetOptions,
 }
 
 impl Fleet {
@@ -71,7 +71,7 @@ impl Fleet {
             options: options.clone(),
         };
         // A fleet that is dropped half started ends the threads that it has.
-        fleet.replace_cameras(&[], plans)?;
+        fleet.exchange(Exchange { cameras: plans, ..Exchange::default() })?;
         let unfinished = fleet.shared.store.unfinished_sessions()?;
         for row in fleet.shared.store.unreadable() {
             tracing::error!("the store cannot read {row}; see `plumb store check`");
@@ -89,64 +89,6 @@ impl Fleet {
         Ok(fleet)
     }
 
-    /// Stops the cameras named `stopped` and sets those of `plans` going, with the sessions that
-    /// were left unfinished. The others do not notice; those are not known meanwhile. Blocks while
-    /// their recordings are written to the end, and while kept views are read again.
-    ///
-    /// # Errors
-    /// [`FleetError`]; cameras before the one that failed are running then.
-    pub fn replace_cameras(
-        &self,
-        stopped: &[String],
-        plans: Vec<CameraPlan>,
-    ) -> Result<(), FleetError> {
-        let _exchanging = self.exchanging();
-        let cameras = || self.cameras.write().unwrap_or_else(PoisonError::into_inner);
-        let leaving: Vec<RunningCamera> =
-            cameras().extract_if(.., |running| stopped.contains(&running.camera.name)).collect();
-        stop(&[], &leaving);
-        let mut unfinished = self.shared.store.unfinished_sessions()?;
-        for plan in plans {
-            let left = take_newest_of(&mut unfinished, &plan.name);
-            let started = start_camera(plan, left, &self.shared, &self.options)?;
-            cameras().push(started);
-        }
-        Ok(())
-    }
-
-    /// Sets rigs of the fleet's cameras going, with the sessions that were left unfinished.
-    ///
-    /// # Errors
-    /// [`FleetError`]; rigs before the one that failed are running then.
-    pub fn start_rigs(&self, plans: Vec<RigPlan>) -> Result<(), FleetError> {
-        let mut unfinished = self.shared.store.unfinished_sessions()?;
-        for RigPlan { name, cameras } in plans {
-            let left = take_newest_of(&mut unfinished, &name);
-            let link = |camera: &String| {
-                self.link(camera).map_err(|UnknownCamera { camera }| FleetError::NoCamera {
-                    rig: name.clone(),
-                    camera,
-                })
-            };
-            let cameras = cameras.iter().map(link).collect::<Result<_, _>>()?;
-            let rig = start_rig(name, cameras, left, &self.shared, &self.options)?;
-            self.rigs.write().unwrap_or_else(PoisonError::into_inner).push(rig);
-        }
-        Ok(())
-    }
-
-    /// Ends the rigs named `stopped` and gives their cameras back; a session that collects goes on
-    /// when a rig of that name is started again. Blocks until they have finished what they are
-    /// computing.
-    pub fn stop_rigs(&self, stopped: &[String]) {
-        let mut rigs = self.rigs.write().unwrap_or_else(PoisonError::into_inner);
-        let (leaving, staying): (Vec<_>, Vec<_>) =
-            rigs.drain(..).partition(|running| stopped.contains(&running.instrument.name));
-        *rigs = staying;
-        drop(rigs);
-        stop_and_wait(leaving);
-    }
-
     /// Ends every thread; sessions stay as they are and go on with the next start. Blocks for less
     /// than a second: a thread that a driver does not let go is left behind.
     pub fn shutdown(&self) {
@@ -156,11 +98,6 @@ impl Fleet {
         stop(&rigs, &cameras);
     }
 
-    /// Waits until no cameras are being exchanged, and has it stay so.
-    pub(super) fn exchanging(&self) -> MutexGuard<'_, ()> {
-        self.exchange.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     pub(super) fn store(&self) -> &Store {
         &self.shared.store
     }
@@ -168,19 +105,6 @@ impl Fleet {
     /// Whether a camera or a rig has this name.
     pub fn has_instrument(&self, name: &str) -> bool {
         self.instruments().iter().any(|known| known.name == *name)
-    }
-
-    /// Puts cameras and rigs in the order of these names.
-    pub fn arrange(&self, cameras: &[&str], rigs: &[&str]) {
-        let place = |names: &[&str], name: &str| names.iter().position(|other| *other == name);
-        self.cameras
-            .write()
-            .unwrap_or_else(PoisonError::into_inner)
-            .sort_by_key(|running| place(cameras, &running.camera.name));
-        self.rigs
-            .write()
-            .unwrap_or_else(PoisonError::into_inner)
-            .sort_by_key(|running| place(rigs, &running.instrument.name));
     }
 
     /// Makes a calibration its camera's current one.
@@ -436,12 +360,6 @@ impl Fleet {
     fn running_rigs(&self) -> RwLockReadGuard<'_, Vec<RunningInstrument>> {
         self.rigs.read().unwrap_or_else(PoisonError::into_inner)
     }
-}
-
-/// The newest of `unfinished` that is of the camera or rig `name`.
-fn take_newest_of(unfinished: &mut Vec<SessionRecord>, name: &str) -> Option<SessionRecord> {
-    let at = unfinished.iter().rposition(|record| record.camera == name)?;
-    Some(unfinished.remove(at))
 }
 
 impl Drop for Fleet {

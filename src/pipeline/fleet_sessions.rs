@@ -73,10 +73,10 @@ impl Fleet {
         self.end_session(id, Message::Abort).await
     }
 
-    /// Gives up session `id`, which waits for a camera or a rig that is not configured any more.
+    /// Gives up session `id`, which no camera or rig goes on with. Blocks while cameras are exchanged.
     ///
     /// # Errors
-    /// [`EndError`]; a session that is over, or that its camera may go on with, is not touched.
+    /// [`EndError`]; a session that is over, or that its camera goes on with, is not touched.
     pub fn abort_stored(&self, id: &str) -> Result<SessionRecord, EndError> {
         let _exchanging = self.exchanging();
         let broken = |error: StoreError| EndError::Store { detail: error.to_string() };
@@ -84,7 +84,7 @@ impl Fleet {
         let unknown = || EndError::UnknownSession { id: id.to_owned() };
         let mut record = stored.ok_or_else(unknown)?;
         let over = EndError::Over { id: id.to_owned(), state: record.state };
-        if self.has_instrument(&record.camera) || record.abort(utc_now_ns()).is_err() {
+        if self.owner(id).is_some() || record.abort(utc_now_ns()).is_err() {
             return Err(over);
         }
         self.store().save_session(&record).map_err(broken)?;

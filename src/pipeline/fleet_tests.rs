@@ -112,6 +112,7 @@ async fn two_cameras_never_hold_each_other_up() {
     let stuck = CameraPlan {
         name: "stuck".to_owned(),
         kind: "v4l2".to_owned(),
+        image_source: "camera 7".to_owned(),
         open: Box::new(stuck),
         may_stall: true,
     };
@@ -146,6 +147,7 @@ fn replay(frames: u64) -> CameraPlan {
     CameraPlan {
         name: "front".to_owned(),
         kind: "recording".to_owned(),
+        image_source: "camera 7".to_owned(),
         open: Box::new(open),
         may_stall: false,
     }
@@ -195,6 +197,7 @@ fn walking() -> CameraPlan {
     CameraPlan {
         name: "front".to_owned(),
         kind: "simulator".to_owned(),
+        image_source: "camera 7".to_owned(),
         open: Box::new(open),
         may_stall: false,
     }

@@ -25,6 +25,8 @@ use crate::pipeline::stop_signal::StopSignal;
 #[derive(Debug)]
 pub(super) struct LiveCamera {
     pub(super) name: String,
+    /// What decides the geometry of its images, in words.
+    pub(super) image_source: String,
     pub(super) status: watch::Sender<CameraStatus>,
     pub(super) frames: watch::Sender<Option<Arc<LiveFrame>>>,
     pub(super) search: CurrentSearch,

@@ -12,7 +12,7 @@ use crate::pipeline::camera_status::CameraState;
 use crate::pipeline::event::{EventKind, EventStream};
 use crate::pipeline::fleet::Fleet;
 use crate::pipeline::instrument::RigPlan;
-use crate::pipeline::running::CameraPlan;
+use crate::pipeline::running::{CameraPlan, Exchange};
 use crate::pipeline::scripted::*;
 use crate::pipeline::session_request::StartError;
 
@@ -21,7 +21,8 @@ fn rig_of(names: &[&str], folder: &tempfile::TempDir) -> (Fleet, Vec<Script>) {
     let (plans, scripts): (Vec<_>, Vec<_>) = names.iter().map(|name| scripted(name)).unzip();
     let fleet = fleet_of(plans, folder, PATIENCE);
     let cameras = names.iter().map(|name| (*name).to_owned()).collect();
-    fleet.start_rigs(vec![RigPlan { name: "head".to_owned(), cameras }]).unwrap();
+    let rigs = vec![RigPlan { name: "head".to_owned(), cameras }];
+    fleet.exchange(Exchange { rigs, ..Exchange::default() }).unwrap();
     (fleet, scripts)
 }
 
@@ -143,6 +144,7 @@ async fn when_detection_cannot_keep_up_the_newest_frame_wins() {
     let plan = CameraPlan {
         name: "front".to_owned(),
         kind: "v4l2".to_owned(),
+        image_source: "camera 7".to_owned(),
         open: Box::new(open),
         may_stall: false,
     };

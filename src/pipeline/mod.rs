@@ -25,8 +25,11 @@ mod collecting;
 mod detect_thread;
 mod drift;
 pub mod event;
+#[cfg(test)]
+mod exchange_tests;
 pub mod fleet;
 pub mod fleet_error;
+mod fleet_exchange;
 mod fleet_sessions;
 #[cfg(test)]
 mod fleet_tests;
@@ -76,4 +79,4 @@ mod view_image;
 
 pub use capture_thread::Supervision;
 pub use instrument::{RigPlan, RigStatus};
-pub use running::{CameraPlan, FleetOptions};
+pub use running::{CameraPlan, Exchange, FleetOptions};

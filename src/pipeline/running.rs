@@ -16,7 +16,7 @@ use crate::pipeline::event::EventLog;
 use crate::pipeline::fleet_error::FleetError;
 use crate::pipeline::frame_rate::FrameRate;
 use crate::pipeline::frame_slot::FrameSlot;
-use crate::pipeline::instrument::Instrument;
+use crate::pipeline::instrument::{Instrument, RigPlan};
 use crate::pipeline::jobs::Jobs;
 use crate::pipeline::live_camera::LiveCamera;
 use crate::pipeline::message::Message;
@@ -38,10 +38,25 @@ pub struct CameraPlan {
     pub name: String,
     /// The kind of its source, as in the configuration.
     pub kind: String,
+    /// What decides the geometry of its images, in words: a session goes on with this source only.
+    pub image_source: String,
     /// Opens the source.
     pub open: Box<dyn SourceOpener>,
     /// Whether silence means that the device is lost; not so for frames on disk.
     pub may_stall: bool,
+}
+
+/// What of a fleet goes, by name, and what comes.
+#[derive(Default)]
+pub struct Exchange {
+    /// Rigs that go; their cameras are given back.
+    pub stopped_rigs: Vec<String>,
+    /// Cameras that go.
+    pub stopped_cameras: Vec<String>,
+    /// Cameras that come.
+    pub cameras: Vec<CameraPlan>,
+    /// Rigs that come, of cameras that are there then.
+    pub rigs: Vec<RigPlan>,
 }
 
 /// How the cameras run.
@@ -88,6 +103,15 @@ pub(super) struct RunningInstrument {
     thread: JoinHandle<()>,
 }
 
+impl RunningInstrument {
+    fn wait_for_end(self) {
+        if self.thread.join().is_err() {
+            let name = &self.instrument.name;
+            tracing::error!(instrument = name, "its thread had ended by a fault");
+        }
+    }
+}
+
 /// A camera with the threads that work for it.
 #[derive(Debug)]
 pub(super) struct RunningCamera {
@@ -104,7 +128,7 @@ pub(super) fn start_camera(
     shared: &SharedParts,
     options: &FleetOptions,
 ) -> Result<RunningCamera, FleetError> {
-    let CameraPlan { name, kind, open, may_stall } = plan;
+    let CameraPlan { name, kind, image_source, open, may_stall } = plan;
     let (messages, received) = mpsc::channel(QUEUE);
     let mut status = CameraStatus::starting(&name, &kind);
     status.calibration = shared.store.current_calibration_id(&name)?;
@@ -124,6 +148,7 @@ pub(super) fn start_camera(
         guidance: Mutex::default(),
         key_frame: Mutex::default(),
         rigs: Mutex::default(),
+        image_source,
         name: name.clone(),
     });
     let instrument = Instrument {
@@ -247,15 +272,18 @@ pub(super) fn stop(rigs: &[RunningInstrument], cameras: &[RunningCamera]) {
     }
 }
 
+/// Ends the threads of `cameras` while others run; blocks until those of their sessions have ended:
+/// what they store last is stored before another thread goes on with a session.
+pub(super) fn stop_cameras(cameras: Vec<RunningCamera>) {
+    stop(&[], &cameras);
+    cameras.into_iter().for_each(|running| running.own.wait_for_end());
+}
+
 /// Ends the threads of `rigs`, whose sessions stay as they are; blocks until they have.
-pub(super) fn stop_and_wait(rigs: Vec<RunningInstrument>) {
+pub(super) fn stop_rigs(rigs: Vec<RunningInstrument>) {
     for RunningInstrument { instrument, .. } in &rigs {
         instrument.ask_to_stop();
         instrument.share_calibration(None);
     }
-    for RunningInstrument { instrument, thread } in rigs {
-        if thread.join().is_err() {
-            tracing::error!(rig = instrument.name, "its thread had ended by a fault");
-        }
-    }
+    rigs.into_iter().for_each(RunningInstrument::wait_for_end);
 }

@@ -118,6 +118,7 @@ pub(super) fn scripted(name: &str) -> (CameraPlan, Script) {
     let plan = CameraPlan {
         name: name.to_owned(),
         kind: "v4l2".to_owned(),
+        image_source: "camera 7".to_owned(),
         open: Box::new(open),
         may_stall: true,
     };
@@ -145,7 +146,7 @@ pub(super) fn fleet_of(
 
 /// The store in `folder`. A fleet that was dropped leaves threads behind that a camera holds up;
 /// the last of them lets go of the store.
-fn released(folder: &tempfile::TempDir) -> Store {
+pub(super) fn released(folder: &tempfile::TempDir) -> Store {
     let end = Instant::now() + Duration::from_secs(20);
     loop {
         match Store::open(folder.path()) {

@@ -249,8 +249,9 @@ fn fleet(
 ) -> (Fleet, Arc<Store>) {
     let store = Arc::new(Store::open(folder.path()).unwrap());
     let camera = RealsenseCamera::in_context(RealsenseOptions::default(), Arc::clone(context));
-    let (name, kind) = ("front".to_owned(), "realsense".to_owned());
-    let plan = CameraPlan { name, kind, open: Box::new(camera), may_stall: true };
+    let (name, kind, image_source) =
+        ("front".to_owned(), "realsense".to_owned(), "realsense".to_owned());
+    let plan = CameraPlan { name, kind, image_source, open: Box::new(camera), may_stall: true };
     let options = FleetOptions { supervision, ..FleetOptions::default() };
     (Fleet::start(vec![plan], Arc::clone(&store), &options).unwrap(), store)
 }

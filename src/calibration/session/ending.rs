@@ -6,7 +6,7 @@
 //!     │                                          └──────▶ failed (its views stay)
 //!     ├──stop with too few views──▶ failed
 //!     ├──fault──▶ failed           (also from solving)
-//!     └──abort──▶ aborted          (also from solving)
+//!     └──abort, another source──▶ aborted  (also from solving)
 //! ```
 
 use crate::calibration::guidance::Guidance;
@@ -56,6 +56,11 @@ impl SessionRecord {
             }
             state => Err(SessionOver { state }),
         }
+    }
+
+    /// Gives it up for `reason`; its views stay.
+    pub(super) fn give_up(&mut self, reason: &str, now_ns: i64) -> Vec<Action> {
+        self.close(SessionState::Aborted, Some(reason.to_owned()), now_ns)
     }
 
     /// Something broke in the program itself: its views stay.

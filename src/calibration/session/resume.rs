@@ -62,6 +62,15 @@ impl Session {
         (session, actions)
     }
 
+    /// A session as it was stored, given up for `reason`: all that it says but its end stays as it
+    /// was. `now_ns` is UTC since the Unix epoch.
+    pub fn give_up(record: SessionRecord, reason: &str, now_ns: i64) -> (Self, Vec<Action>) {
+        let mut session = Self::begin(record.clone(), &[], &AdmissionOptions::default());
+        session.record = record;
+        let actions = session.record.give_up(reason, now_ns);
+        (session, actions)
+    }
+
     /// What to do first with its views back.
     fn resumed(&mut self) -> Vec<Action> {
         self.pair_up();

@@ -1,0 +1,97 @@
+//! Cameras and rigs that come and go while the others of the fleet do not notice.
+
+use std::sync::{MutexGuard, PoisonError};
+
+use crate::calibration::session_record::SessionRecord;
+use crate::pipeline::fleet::Fleet;
+use crate::pipeline::fleet_error::FleetError;
+use crate::pipeline::instrument::RigPlan;
+use crate::pipeline::running::{
+    CameraPlan, Exchange, RunningCamera, start_camera, start_rig, stop_cameras, stop_rigs,
+};
+use crate::pipeline::unknown::UnknownCamera;
+
+impl Fleet {
+    /// Stops what goes and sets going what comes, with the sessions that were left unfinished; one
+    /// whose camera has another source now is given up instead, and its views stay. Blocks while
+    /// recordings are written to the end, and while kept views are read again.
+    ///
+    /// # Errors
+    /// [`FleetError`]; what comes before the one that failed is running then.
+    pub fn exchange(&self, exchange: Exchange) -> Result<(), FleetError> {
+        let Exchange { stopped_rigs, stopped_cameras, cameras, rigs } = exchange;
+        // One step for whoever gives up sessions of what is not configured: what is exchanged is
+        // not known in between, and its threads store its sessions still.
+        let _exchanging = self.exchanging();
+        self.stop_rigs(&stopped_rigs);
+        self.replace_cameras(&stopped_cameras, cameras)?;
+        self.start_rigs(rigs)
+    }
+
+    /// Waits until nothing is being exchanged, and has it stay so.
+    pub(super) fn exchanging(&self) -> MutexGuard<'_, ()> {
+        self.exchange.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn replace_cameras(
+        &self,
+        stopped: &[String],
+        plans: Vec<CameraPlan>,
+    ) -> Result<(), FleetError> {
+        let cameras = || self.cameras.write().unwrap_or_else(PoisonError::into_inner);
+        let leaving: Vec<RunningCamera> =
+            cameras().extract_if(.., |running| stopped.contains(&running.camera.name)).collect();
+        stop_cameras(leaving);
+        let mut unfinished = self.shared.store.unfinished_sessions()?;
+        for plan in plans {
+            let left = take_newest_of(&mut unfinished, &plan.name);
+            let started = start_camera(plan, left, &self.shared, &self.options)?;
+            cameras().push(started);
+        }
+        Ok(())
+    }
+
+    fn start_rigs(&self, plans: Vec<RigPlan>) -> Result<(), FleetError> {
+        let mut unfinished = self.shared.store.unfinished_sessions()?;
+        for RigPlan { name, cameras } in plans {
+            let left = take_newest_of(&mut unfinished, &name);
+            let link = |camera: &String| {
+                self.link(camera).map_err(|UnknownCamera { camera }| FleetError::NoCamera {
+                    rig: name.clone(),
+                    camera,
+                })
+            };
+            let cameras = cameras.iter().map(link).collect::<Result<_, _>>()?;
+            let rig = start_rig(name, cameras, left, &self.shared, &self.options)?;
+            self.rigs.write().unwrap_or_else(PoisonError::into_inner).push(rig);
+        }
+        Ok(())
+    }
+
+    fn stop_rigs(&self, stopped: &[String]) {
+        let mut rigs = self.rigs.write().unwrap_or_else(PoisonError::into_inner);
+        let leaving =
+            rigs.extract_if(.., |running| stopped.contains(&running.instrument.name)).collect();
+        drop(rigs);
+        stop_rigs(leaving);
+    }
+
+    /// Puts cameras and rigs in the order of these names.
+    pub fn arrange(&self, cameras: &[&str], rigs: &[&str]) {
+        let place = |names: &[&str], name: &str| names.iter().position(|other| *other == name);
+        self.cameras
+            .write()
+            .unwrap_or_else(PoisonError::into_inner)
+            .sort_by_key(|running| place(cameras, &running.camera.name));
+        self.rigs
+            .write()
+            .unwrap_or_else(PoisonError::into_inner)
+            .sort_by_key(|running| place(rigs, &running.instrument.name));
+    }
+}
+
+/// The newest of `unfinished` that is of the camera or rig `name`.
+fn take_newest_of(unfinished: &mut Vec<SessionRecord>, name: &str) -> Option<SessionRecord> {
+    let at = unfinished.iter().rposition(|record| record.camera == name)?;
+    Some(unfinished.remove(at))
+}
