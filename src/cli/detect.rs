@@ -8,7 +8,7 @@ use crate::cli::in_order::{all_cores, in_order};
 use crate::cli::search::{SearchedImage, searcher};
 use crate::cli::sources::FrameSets;
 use crate::cli::{Failure, output, recognize};
-use crate::detection::board_detection::{BoardMarkers, DetectOptions, Detection, GridIndex};
+use crate::detection::board_detection::{BoardMarkers, DetectOptions, Detection};
 use crate::geometry::target::Target;
 
 /// What the command prints for an image.
@@ -140,12 +140,10 @@ impl ImageLine {
 impl CodedLine {
     fn of(target: &Target, detection: &Detection) -> Option<Self> {
         let BoardMarkers { read, legacy, border_bits, inverted } = detection.markers?;
-        let corners = || detection.corners.iter();
-        let id = |GridIndex { col, row }: GridIndex| target.corner_id(col as u32, row as u32);
         Some(Self {
             kind: target.kind(),
-            ids: corners().map(|corner| id(corner.index)).collect(),
-            std_px: corners().map(|corner| corner.std_px).collect(),
+            ids: detection.corner_ids(target)?,
+            std_px: detection.corners.iter().map(|corner| corner.std_px).collect(),
             markers: read,
             legacy,
             border_bits,

@@ -49,6 +49,17 @@ pub struct Detection {
     pub markers: Option<BoardMarkers>,
 }
 
+impl Detection {
+    /// The numbers of its corners on `target`, in their order; `None` where no markers say them.
+    pub fn corner_ids(&self, target: &Target) -> Option<Vec<u32>> {
+        self.markers?;
+        let id = |corner: &DetectedCorner| {
+            target.corner_id(corner.index.col as u32, corner.index.row as u32)
+        };
+        Some(self.corners.iter().map(id).collect())
+    }
+}
+
 /// What the markers of a board say besides which corner is which.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct BoardMarkers {

@@ -330,6 +330,12 @@ pub struct SessionViewDocument {
     pub corners: u32,
     /// The corners in pixels, in the board's order.
     pub corners_px: Vec<[f64; 2]>,
+    /// Which corner of the board each is: `[col, row]`.
+    #[serde(default)]
+    pub indices: Vec<[i32; 2]>,
+    /// The number of each on a board with markers, as `plumb detect` has it; left out of others.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ids: Option<Vec<u32>>,
     /// Whether the session's calibration uses it; null before there is one.
     pub used: Option<bool>,
     /// Why it is not used.

@@ -132,6 +132,12 @@ pub(super) struct DetectionEventDocument<'a> {
     found: bool,
     /// The corners in the board's order; empty if not found.
     corners: Vec<[f64; 2]>,
+    /// Which corner of the board each is: `[col, row]`.
+    indices: Vec<[i32; 2]>,
+    /// The number of each on a board with markers, as `plumb detect` has it; left out of a
+    /// chessboard, and if none was found.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    ids: Option<&'a [u32]>,
     /// The number of the view it became; null if it was not kept.
     kept_view: Option<u32>,
     /// Why it was not kept, as counted in the session's `rejected`; null if it was kept.
@@ -152,6 +158,8 @@ fn detection_document<'a>(
         sequence: event.sequence,
         found: event.found,
         corners: event.corners_px.iter().map(|pixel| [pixel.x, pixel.y]).collect(),
+        indices: event.indices.iter().map(|index| [index.col, index.row]).collect(),
+        ids: event.ids.as_deref(),
         kept_view: event.kept_view,
         rejection: event.rejection,
         reason: event.reason.as_deref(),

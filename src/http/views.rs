@@ -44,6 +44,7 @@ pub(super) async fn list(
     Asked(page): Asked<PageParameters>,
 ) -> Result<(HeaderMap, Json<SessionViewsDocument>), Problem> {
     let record = session(&shared, &id).await?;
+    let target = record.request.target.board();
     let (mut views, calibration) = shared
         .stored(move |store| {
             let calibration =
@@ -62,7 +63,7 @@ pub(super) async fn list(
             other.sensor.camera == view.sensor.camera && other.number < view.number
         };
         let place = views.iter().filter(before).count();
-        view_document(&id, view, place, calibration.as_ref())
+        view_document((&id, target), view, place, calibration.as_ref())
     });
     Ok((headers, Json(SessionViewsDocument { views: documents.collect() })))
 }
@@ -109,9 +110,9 @@ fn sensor_of<'a>(calibration: &'a Calibration, view: &SensorView) -> Option<&'a 
     calibration.sensor(&SensorId::of(camera, SensorKind::Color))?.as_image()
 }
 
-/// `place` counts the views of the same sensor.
+/// `place` counts the views of the same sensor; `shown` is what the session searched for.
 fn view_document(
-    session_id: &str,
+    (session_id, shown): (&str, Option<Target>),
     view: &SensorView,
     place: usize,
     calibration: Option<&Calibration>,
@@ -136,6 +137,8 @@ fn view_document(
         taken_at: time::from_utc_ns(view.frame.host_time_ns),
         corners: corners().count() as u32,
         corners_px: corners().map(|corner| [corner.pixel.x, corner.pixel.y]).collect(),
+        indices: corners().map(|corner| [corner.index.col, corner.index.row]).collect(),
+        ids: detection.zip(shown).and_then(|(detection, shown)| detection.corner_ids(&shown)),
         used: calibrated.map(|calibrated| calibrated.used),
         reason: calibrated.and_then(|calibrated| calibrated.reason.clone()),
         rms_px: calibrated.and_then(|calibrated| calibrated.rms_px),

@@ -10,6 +10,7 @@ use crate::calibration::admission::Rejection;
 use crate::calibration::drift::Drift;
 use crate::calibration::result::{Calibration, Grade, ProjectionUncertainty};
 use crate::calibration::session_record::SessionRecord;
+use crate::detection::board_detection::GridIndex;
 use crate::geometry::pixel::Pixel;
 use crate::pipeline::camera_status::CameraStatus;
 use crate::pipeline::seen::SeenFrame;
@@ -97,6 +98,10 @@ pub struct DetectionEvent {
     pub found: bool,
     /// The corners in row-major order; empty if not found.
     pub corners_px: Vec<Pixel>,
+    /// Which of the board's corners they are.
+    pub indices: Vec<GridIndex>,
+    /// Their numbers on a board with markers; `None` of another, or if not found.
+    pub ids: Option<Vec<u32>>,
     /// The number of the view it became; `None` if it was not kept.
     pub kept_view: Option<u32>,
     /// The kind of rejection ([`crate::calibration::admission::Rejection::kind`]); `None` if it was
@@ -110,15 +115,23 @@ pub struct DetectionEvent {
 
 impl DetectionEvent {
     /// What a session made of a frame that was searched.
-    pub(super) fn of(seen: &SeenFrame, session: &str, admission: &Result<u32, Rejection>) -> Self {
+    pub(super) fn of(
+        seen: &SeenFrame,
+        session: &SessionRecord,
+        admission: &Result<u32, Rejection>,
+    ) -> Self {
         let found = &seen.detection.outcome;
-        let corners = seen.detection.board().into_iter().flat_map(|board| board.corners.iter());
+        let board = seen.detection.board();
+        let corners = || board.into_iter().flat_map(|board| board.corners.iter());
+        let target = session.request.target.board();
         let rejection = admission.as_ref().err();
         Self {
             sequence: seen.frame_set.sequence,
-            session: session.to_owned(),
+            session: session.id.clone(),
             found: found.is_ok(),
-            corners_px: corners.map(|corner| corner.pixel).collect(),
+            corners_px: corners().map(|corner| corner.pixel).collect(),
+            indices: corners().map(|corner| corner.index).collect(),
+            ids: board.zip(target).and_then(|(board, target)| board.corner_ids(&target)),
             kept_view: admission.as_ref().ok().copied(),
             rejection: rejection.map(Rejection::kind),
             reason: rejection.map(ToString::to_string),

@@ -13,7 +13,7 @@ use crate::calibration::admission::{AdmissionOptions, Rejection};
 use crate::calibration::drift::DriftWatch;
 use crate::calibration::session::gate::KeptSoFar;
 use crate::calibration::session::{Action, Observed, Session};
-use crate::calibration::session_record::SessionState;
+use crate::calibration::session_record::{SessionRecord, SessionState};
 use crate::imaging::factory::FactorySensor;
 use crate::imaging::frame::SensorKind;
 use crate::pipeline::assembly::Assembly;
@@ -154,16 +154,14 @@ impl SessionThread {
 
     /// What is to be announced of a frame set, and done about it; what it kept is stored.
     pub(super) fn announce_observed(&mut self, seen: &SeenFrameSet, observed: Observed) {
-        let Some(id) = self.session.as_ref().map(|session| session.record().id.clone()) else {
-            return;
-        };
         // Who hears of the frame finds it counted in the session.
         self.show();
+        let Some(record) = self.session.as_ref().map(Session::record) else { return };
         let cameras = Arc::clone(&self.instrument);
         let each = cameras.cameras.iter().zip(&seen.frames).zip(&observed.admissions);
         for ((camera, frame), admission) in each {
             if let (Some(frame), Some(admission)) = (frame, admission) {
-                publish_detection(camera, &id, frame, admission);
+                publish_detection(camera, record, frame, admission);
             }
         }
         for kept in &observed.kept {
@@ -330,7 +328,7 @@ fn stated_depth(camera: &LiveCamera) -> Option<FactorySensor> {
 
 fn publish_detection(
     camera: &LiveCamera,
-    session: &str,
+    session: &SessionRecord,
     seen: &SeenFrame,
     admission: &Result<u32, Rejection>,
 ) {

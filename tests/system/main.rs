@@ -4,7 +4,9 @@
 
 mod autocalibrate;
 mod bad_input;
+mod changed_source;
 mod cli;
+mod coded_session;
 mod config_examples;
 mod crowds;
 mod decoding;
