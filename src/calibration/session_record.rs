@@ -235,6 +235,11 @@ impl SessionRecord {
         }
     }
 
+    /// Whether `name` is its camera or its rig, or a camera that is in it with others.
+    pub fn is_of(&self, name: &str) -> bool {
+        self.camera == name || self.members.iter().any(|member| member.camera == name)
+    }
+
     /// Takes what a camera's images come from now, where it is not known yet.
     ///
     /// # Errors

@@ -35,7 +35,7 @@ const KEEP_ALIVE: Duration = Duration::from_secs(10);
 /// as it is remembered.
 #[utoipa::path(get, path = "/v1/events", tag = "events",
     params(
-        ("camera" = Option<String>, Query, description = "only this camera's, or this rig's"),
+        ("camera" = Option<String>, Query, description = "only this camera's, with those of the rigs that it is in; or only this rig's own, without its cameras'"),
         ("Last-Event-ID" = Option<u64>, Header, description = "the last event that was seen"),
     ),
     responses(
@@ -64,8 +64,16 @@ pub(super) async fn follow(
             Some((event, (stream, place)))
         },
     );
+    let fleet = Arc::clone(&shared.fleet);
     let wanted = move |event: &Arc<Event>| {
-        std::future::ready(camera.as_ref().is_none_or(|camera| *camera == event.camera))
+        let concerns = |camera: &String| {
+            let in_rig = |name: &str| fleet.rig(name).is_ok_and(|rig| rig.cameras.contains(camera));
+            match &event.kind {
+                EventKind::Session(record) => record.is_of(camera),
+                _ => event.camera == *camera || in_rig(&event.camera),
+            }
+        };
+        std::future::ready(camera.as_ref().is_none_or(concerns))
     };
     let hello = futures_util::stream::once(std::future::ready(Ok(SentEvent::default()
         .retry(RETRY)

@@ -54,7 +54,7 @@ const PAGE: u32 = 40;
 /// The sessions, newest first, page by page: the header `Link` has the address of the next page.
 #[utoipa::path(get, path = "/v1/sessions", operation_id = "list_sessions", tag = "sessions",
     params(
-        ("camera" = Option<String>, Query, description = "only this camera's"),
+        ("camera" = Option<String>, Query, description = "only this camera's, with those of the rigs that it was in; or only this rig's"),
         ("limit" = Option<u32>, Query, description = "how many, 1 to 1000; 40 when left out", minimum = 1, maximum = 1000),
         ("cursor" = Option<String>, Query, description = "those after this session, as the header `Link` of the page before says"),
     ),
@@ -73,17 +73,17 @@ pub(super) async fn list(
     let wanted = camera.clone();
     let asked =
         move |store: &Store| store.sessions_page(wanted.as_deref(), after.as_deref(), limit);
-    let (stored, has_more) = shared.stored(asked).await?;
+    let (stored, last) = shared.stored(asked).await?;
     let live = shared.fleet.live_sessions();
     let newest = |record: &SessionRecord| {
         let live = live.iter().find(|live| live.id == record.id);
         live.map_or_else(|| record.into(), |live| SessionDocument::from(live.as_ref()))
     };
     let mut headers = HeaderMap::new();
-    if let Some(last) = stored.last().filter(|_| has_more) {
+    if let Some(last) = last {
         // Camera names and identifiers need no escapes: letters, digits, `-` and `_`.
         let camera = camera.map(|camera| format!("&camera={camera}")).unwrap_or_default();
-        let next = format!("</v1/sessions?limit={limit}&cursor={}{camera}>; rel=\"next\"", last.id);
+        let next = format!("</v1/sessions?limit={limit}&cursor={last}{camera}>; rel=\"next\"");
         headers.extend(HeaderValue::from_str(&next).map(|next| (LINK, next)));
     }
     let sessions = stored.iter().map(newest).collect();

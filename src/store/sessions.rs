@@ -10,6 +10,10 @@ use crate::store::{checksum, json};
 
 const COLUMNS: &str =
     "SELECT id, camera, state, started_at_ns, collecting_s, document, checksum FROM sessions";
+/// Whether ?1 is a camera in the rig; a damaged document says nothing of it.
+const OF_MEMBER: &str = "CASE WHEN json_valid(document) THEN EXISTS (
+    SELECT 1 FROM json_each(document, '$.cameras') AS member
+    WHERE member.value ->> '$.camera' = ?1) END";
 
 impl Store {
     /// Writes a new session down.
@@ -76,7 +80,8 @@ impl Store {
     }
 
     /// A page of the sessions that can be read, newest first: at most `limit`, after the session
-    /// `after`, of one camera where `camera` says so. Whether there are more.
+    /// `after`; where `camera` is given only those of which [`SessionRecord::is_of`] it holds. Where
+    /// there are more, also the last session of the page, which those come after.
     ///
     /// # Errors
     /// [`StoreError::Failed`]; [`StoreError::Missing`] where there is no session `after`.
@@ -85,7 +90,7 @@ impl Store {
         camera: Option<&str>,
         after: Option<&str>,
         limit: u32,
-    ) -> Result<(Vec<SessionRecord>, bool), StoreError> {
+    ) -> Result<(Vec<SessionRecord>, Option<String>), StoreError> {
         let start = match after {
             None => (i64::MAX, String::new()),
             Some(id) => {
@@ -97,16 +102,17 @@ impl Store {
             }
         };
         let sql = format!(
-            "{COLUMNS} WHERE (?1 IS NULL OR camera = ?1) AND (started_at_ns, id) < (?2, ?3)
-            ORDER BY started_at_ns DESC, id DESC LIMIT ?4"
+            "{COLUMNS} WHERE (?1 IS NULL OR camera = ?1 OR {OF_MEMBER})
+            AND (started_at_ns, id) < (?2, ?3) ORDER BY started_at_ns DESC, id DESC LIMIT ?4"
         );
         // One more than asked for says whether there are more.
         let values: [&dyn ToSql; 4] = [&camera, &start.0, &start.1, &(i64::from(limit) + 1)];
         let mut rows = self.select(("sessions", &sql), &values, StoredSession::from_row)?;
         let has_more = rows.len() > limit as usize;
         rows.truncate(limit as usize);
+        let last = rows.iter().rev().find_map(|row| Some(row.as_ref().ok()?.id.clone()));
         let records = rows.into_iter().map(|row| row.and_then(StoredSession::into_record));
-        Ok((self.readable(records), has_more))
+        Ok((self.readable(records), last.filter(|_| has_more)))
     }
 
     /// The sessions that were collecting or solving, oldest first: what a process that was killed
@@ -204,6 +210,7 @@ impl StoredSession {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::calibration::session_record::SessionMember;
     use crate::store::example_tests::record;
 
     #[test]
@@ -254,20 +261,37 @@ mod tests {
             let started_at_ns = number / 4;
             store.begin_session(&SessionRecord { camera, started_at_ns, ..record(&id) }).unwrap();
         }
-        for (camera, count) in [(None, 23), (Some("front"), 12), (Some("none"), 0)] {
+        for number in 23..30_i64 {
+            let members = ["back", "left"].map(SessionMember::begin).to_vec();
+            let (camera, started_at_ns) = ("head".to_owned(), number / 4);
+            let of_rig = record(&format!("s{number:02}"));
+            store
+                .begin_session(&SessionRecord { camera, members, started_at_ns, ..of_rig })
+                .unwrap();
+        }
+        let counts = [
+            (None, 30),
+            (Some("front"), 12),
+            (Some("back"), 11 + 7),
+            (Some("left"), 7),
+            (Some("head"), 7),
+            (Some("none"), 0),
+        ];
+        for (camera, count) in counts {
             let (mut ids, mut after) = (Vec::new(), None);
             loop {
-                let (page, has_more) = store.sessions_page(camera, after.as_deref(), 5).unwrap();
-                assert!(page.len() == 5 || !has_more);
+                let (page, last) = store.sessions_page(camera, after.as_deref(), 5).unwrap();
+                assert!(page.len() == 5 || last.is_none());
                 ids.extend(page.into_iter().map(|session| session.id));
-                after = ids.last().cloned();
-                if !has_more {
+                after = last;
+                if after.is_none() {
                     break;
                 }
+                assert_eq!(after.as_ref(), ids.last());
             }
             let all = store.sessions().unwrap();
             let of_camera =
-                all.into_iter().filter(|session| camera.is_none_or(|name| name == session.camera));
+                all.into_iter().filter(|session| camera.is_none_or(|name| session.is_of(name)));
             assert_eq!(ids, of_camera.map(|session| session.id).collect::<Vec<_>>());
             assert_eq!(ids.len(), count);
         }

@@ -301,6 +301,36 @@ fn a_killed_daemon_goes_on_with_a_rig_s_session_and_replays_come_out_the_same() 
     assert_eq!(replay(), replay());
 }
 
+/// A camera's filter has what the rig does that it is in, in the list and in the stream; the rig's
+/// own has not what its cameras do.
+#[test]
+fn a_cameras_filter_has_its_rigs() {
+    let folder = tempfile::tempdir().unwrap();
+    let served = Served::start(folder.path(), &configuration());
+    let session = calibrate(&served);
+    let calibration = &session["calibration"];
+    let ids = |camera: &str| {
+        let sessions = served.get(&format!("/v1/sessions?camera={camera}")).json();
+        let sessions = sessions["sessions"].as_array().unwrap().iter();
+        sessions.map(|session| session["id"].clone()).collect::<Vec<_>>()
+    };
+    for name in ["left", "right", "far", "head"] {
+        assert_eq!(ids(name), [session["id"].clone()], "{name}");
+        let mut events = served.events(&format!("?camera={name}"), Some("0"));
+        let (mut said, mut of_camera) = (0, false);
+        while said < 2 {
+            let event = events.next();
+            said += u32::from(event.name == "session" && event.data["state"] == "finished");
+            said += u32::from(event.name == "calibration" && event.data["id"] == *calibration);
+            of_camera |= event.name == "camera";
+            let of_other = event.data["camera"].as_str().filter(|camera| *camera != "head");
+            assert!(of_other.is_none_or(|camera| camera == name), "{name}: {}", event.data);
+        }
+        assert_eq!(of_camera, name != "head");
+    }
+    assert_eq!(ids("rear"), [] as [Value; 0]);
+}
+
 /// Asks until the answer is `wanted`: what a hangup changes is not announced.
 fn until(served: &Served, path: &str, wanted: impl Fn(u16, &Value) -> bool) {
     let began = Instant::now();
