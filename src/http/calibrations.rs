@@ -22,6 +22,7 @@ use crate::http::problem::Problem;
 use crate::http::request::{Address, Asked, Parameters, ReadQuery};
 use crate::http::schemas;
 use crate::http::shared::{Shared, on_a_blocking_thread};
+use crate::store::Store;
 
 /// How a calibration is to be written.
 #[derive(utoipa::IntoParams)]
@@ -83,7 +84,7 @@ pub(super) async fn current(
     Asked(parameters): Asked<ExportParameters>,
 ) -> Result<Response, Problem> {
     shared.fleet.camera(&camera)?;
-    current_of(&shared, &format!("camera `{camera}`"), &camera, &parameters).await
+    current_of(&shared, &format!("camera `{camera}`"), &camera, parameters).await
 }
 
 /// The current calibration of the camera or rig `name`, in the format that is asked for; `who` is
@@ -92,7 +93,7 @@ pub(super) async fn current_of(
     shared: &Shared,
     who: &str,
     name: &str,
-    parameters: &ExportParameters,
+    parameters: ExportParameters,
 ) -> Result<Response, Problem> {
     let asked = name.to_owned();
     let found = shared
@@ -105,7 +106,7 @@ pub(super) async fn current_of(
             "{who} has no approved calibration; run a session, or approve one with POST /v1/calibrations/ID/approve"
         ))
     };
-    written(&for_asked_images(&found.ok_or_else(none)?, parameters)?, parameters)
+    written(found.ok_or_else(none)?, parameters).await
 }
 
 /// What the device states of its own sensors, as it left the factory, in any format: as it is
@@ -130,7 +131,7 @@ pub(super) async fn stated(
             "the device of camera `{camera}` states nothing of its lenses, or is not there yet; run a session to calibrate it"
         ))
     })?;
-    written(&for_asked_images(&stated, &parameters)?, &parameters)
+    written(stated, parameters).await
 }
 
 /// Every calibration of a camera, newest first; all, or page by page with `limit`.
@@ -157,10 +158,13 @@ pub(super) async fn history_of(
     name: String,
     (path, page): (&str, &PageParameters),
 ) -> Result<(HeaderMap, Json<CalibrationsDocument>), Problem> {
-    let calibrations = shared.stored(move |store| store.calibrations(&name)).await?;
-    let (calibrations, headers) = page.of(path, calibrations, |one| one.id.clone())?;
-    let calibrations = calibrations.iter().map(CalibrationDocument::from).collect();
-    Ok((headers, Json(CalibrationsDocument { calibrations })))
+    let (limit, cursor) = (page.limit, page.cursor.clone());
+    let asked = move |store: &Store| {
+        let (page, last) = store.calibrations_page(&name, cursor.as_deref(), limit)?;
+        Ok((page.iter().map(CalibrationDocument::from).collect(), last))
+    };
+    let (calibrations, last) = shared.stored(asked).await?;
+    Ok((page.to_next(path, last.as_deref()), Json(CalibrationsDocument { calibrations })))
 }
 
 /// One calibration, approved or not.
@@ -177,7 +181,7 @@ pub(super) async fn one(
     Address(id): Address<String>,
     Asked(parameters): Asked<ExportParameters>,
 ) -> Result<Response, Problem> {
-    written(&for_asked_images(&calibration(&shared, &id).await?, &parameters)?, &parameters)
+    written(calibration(&shared, &id).await?, parameters).await
 }
 
 /// Makes a calibration the camera's current one: also the way back to an older one.
@@ -254,22 +258,14 @@ fn for_asked_images(
         .map_err(|error| Problem::field(field(&error), &error.to_string()))
 }
 
-fn written(calibration: &Calibration, parameters: &ExportParameters) -> Result<Response, Problem> {
+/// The calibration as it is asked for. A map for rectified images takes a while to compute.
+async fn written(
+    calibration: Calibration,
+    parameters: ExportParameters,
+) -> Result<Response, Problem> {
     let format = parameters.format.unwrap_or(Format::Json);
-    let options = ExportOptions {
-        sensor: parameters.sensor.clone(),
-        alpha: parameters.alpha.unwrap_or_default(),
-    };
-    let field = |error: &ExportError| match error {
-        ExportError::SeveralSensors { .. }
-        | ExportError::UnknownSensor { .. }
-        | ExportError::StereoNames { .. }
-        | ExportError::StereoPair(StereoPairError::Unknown { .. }) => "sensor",
-        _ => "format",
-    };
-    let exported = export(calibration, format, &options)
-        .map_err(|e| Problem::field(field(&e), &e.to_string()))?;
-    let Exported { bytes, media_type, file_name, note, .. } = exported;
+    let exported = on_a_blocking_thread(move || exported(&calibration, format, &parameters));
+    let Exported { bytes, media_type, file_name, note, .. } = exported.await??;
     let mut response = ([(CONTENT_TYPE, media_type)], bytes).into_response();
     let mut set = |name: HeaderName, value: &str| {
         // A name that no header can hold is one that the browser may choose itself.
@@ -284,4 +280,52 @@ fn written(calibration: &Calibration, parameters: &ExportParameters) -> Result<R
         set(HeaderName::from_static("plumb-note"), &note);
     }
     Ok(response)
+}
+
+fn exported(
+    calibration: &Calibration,
+    format: Format,
+    parameters: &ExportParameters,
+) -> Result<Exported, Problem> {
+    let options = ExportOptions {
+        sensor: parameters.sensor.clone(),
+        alpha: parameters.alpha.unwrap_or_default(),
+    };
+    let field = |error: &ExportError| match error {
+        ExportError::SeveralSensors { .. }
+        | ExportError::UnknownSensor { .. }
+        | ExportError::StereoNames { .. }
+        | ExportError::StereoPair(StereoPairError::Unknown { .. }) => "sensor",
+        _ => "format",
+    };
+    export(&for_asked_images(calibration, parameters)?, format, &options)
+        .map_err(|e| Problem::field(field(&e), &e.to_string()))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc::channel;
+    use std::task::{Context, Waker};
+
+    use super::*;
+
+    /// With the only thread for computations taken, an export waits for it, and does not take the
+    /// one that answers requests.
+    #[test]
+    fn an_export_is_computed_beside_the_requests() {
+        let mut one = tokio::runtime::Builder::new_current_thread();
+        let runtime = one.max_blocking_threads(1).build().unwrap();
+        runtime.block_on(async {
+            let (release, taken) = channel::<()>();
+            let busy = tokio::task::spawn_blocking(move || taken.recv());
+            let calibration = crate::document::calibration::tests::example();
+            let asked = ExportParameters::read(&Parameters::default()).unwrap();
+            let mut answer = Box::pin(written(calibration, asked));
+            let mut context = Context::from_waker(Waker::noop());
+            assert!(answer.as_mut().poll(&mut context).is_pending());
+            release.send(()).unwrap();
+            assert!(busy.await.unwrap().is_ok());
+            assert_eq!(answer.await.unwrap().status(), StatusCode::OK);
+        });
+    }
 }

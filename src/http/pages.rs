@@ -18,9 +18,9 @@ const LARGEST_PAGE: u32 = 1000;
 pub(super) struct PageParameters {
     /// How many, 1 to 1000; all when left out.
     #[param(minimum = 1, maximum = 1000)]
-    limit: Option<u32>,
+    pub(super) limit: Option<u32>,
     /// Those after this one, as the header `Link` of the page before says.
-    cursor: Option<String>,
+    pub(super) cursor: Option<String>,
 }
 
 /// How every list that comes in pages refuses a part that is not there.
@@ -68,15 +68,22 @@ impl PageParameters {
             };
             all.drain(..=at.ok_or_else(unknown)?);
         }
-        let mut headers = HeaderMap::new();
-        if let Some(limit) = self.limit.filter(|limit| (*limit as usize) < all.len()) {
-            all.truncate(limit as usize);
-            // What was matched in an address, and identifiers, need no escapes.
-            let last = all.last().map(&id_of).unwrap_or_default();
-            let next = format!("<{path}?limit={limit}&cursor={last}>; rel=\"next\"");
-            headers.extend(HeaderValue::from_str(&next).map(|next| (LINK, next)));
-        }
+        let limit = self.limit.map_or(usize::MAX, |limit| limit as usize);
+        let has_more = limit < all.len();
+        all.truncate(limit);
+        let last = all.last().filter(|_| has_more).map(&id_of);
+        let headers = self.to_next(path, last.as_deref());
         Ok((all, headers))
+    }
+
+    /// The header with the address of the page after `last`, where there is one.
+    pub(super) fn to_next(&self, path: &str, last: Option<&str>) -> HeaderMap {
+        let next = self.limit.zip(last).map(|(limit, last)| {
+            // What was matched in an address, and identifiers, need no escapes.
+            format!("<{path}?limit={limit}&cursor={last}>; rel=\"next\"")
+        });
+        let next = next.and_then(|next| HeaderValue::from_str(&next).ok());
+        next.map(|next| (LINK, next)).into_iter().collect()
     }
 }
 

@@ -31,6 +31,7 @@ where
 }
 
 /// The query's parameters; those that nobody asks for are ignored.
+#[cfg_attr(test, derive(Default))]
 pub(super) struct Parameters(Vec<(String, String)>);
 
 impl<S: Send + Sync> FromRequestParts<S> for Parameters {

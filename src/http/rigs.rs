@@ -89,7 +89,7 @@ pub(super) async fn calibration(
     Asked(parameters): Asked<ExportParameters>,
 ) -> Result<Response, Problem> {
     shared.fleet.rig(&rig)?;
-    calibrations::current_of(&shared, &format!("rig `{rig}`"), &rig, &parameters).await
+    calibrations::current_of(&shared, &format!("rig `{rig}`"), &rig, parameters).await
 }
 
 /// Every calibration of a rig, newest first; all, or page by page with `limit`.

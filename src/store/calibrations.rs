@@ -61,9 +61,47 @@ impl Store {
     /// # Errors
     /// [`StoreError::Failed`].
     pub fn calibrations(&self, camera: &str) -> Result<Vec<Calibration>, StoreError> {
-        let sql = format!("{COLUMNS} WHERE camera = ?1 ORDER BY created_at_ns DESC, id DESC");
-        let found = self.select_calibrations(&sql, &[&camera])?;
-        Ok(self.readable(found.into_iter()))
+        Ok(self.calibrations_page(camera, None, None)?.0)
+    }
+
+    /// A page of a camera's calibrations that can be read, newest first: at most `limit`, all when
+    /// left out, after the calibration `after`. Where there are more, also the last one of the page,
+    /// which those come after.
+    ///
+    /// # Errors
+    /// [`StoreError::Failed`]; [`StoreError::Missing`] where the camera has no calibration `after`.
+    pub fn calibrations_page(
+        &self,
+        camera: &str,
+        after: Option<&str>,
+        limit: Option<u32>,
+    ) -> Result<(Vec<Calibration>, Option<String>), StoreError> {
+        let start: (i64, String) = match after {
+            None => (i64::MAX, String::new()),
+            Some(id) => {
+                let sql =
+                    "SELECT created_at_ns, id FROM calibrations WHERE id = ?1 AND camera = ?2";
+                let place = |row: &Row<'_>| Ok((row.get(0)?, row.get(1)?));
+                let rows = self.select(("calibrations", sql), &[&id, &camera], place)?;
+                let missing =
+                    || StoreError::Missing { row: format!("{} of {camera}", row_name(id)) };
+                rows.into_iter().next().ok_or_else(missing)??
+            }
+        };
+        let sql = format!(
+            "{COLUMNS} WHERE camera = ?1 AND (created_at_ns, id) < (?2, ?3)
+            ORDER BY created_at_ns DESC, id DESC LIMIT ?4"
+        );
+        // One more than asked for says whether there are more; to SQLite, -1 is no limit.
+        let most = limit.map_or(-1, |limit| i64::from(limit) + 1);
+        let values: [&dyn ToSql; 4] = [&camera, &start.0, &start.1, &most];
+        let mut rows = self.select(("calibrations", &sql), &values, StoredCalibration::from_row)?;
+        let limit = limit.map_or(usize::MAX, |limit| limit as usize);
+        let has_more = rows.len() > limit;
+        rows.truncate(limit);
+        let last = rows.iter().rev().find_map(|row| Some(row.as_ref().ok()?.id.clone()));
+        let calibrations = rows.into_iter().map(|row| row.and_then(|row| row.to_calibration()));
+        Ok((self.readable(calibrations), last.filter(|_| has_more)))
     }
 
     /// Every calibration that can be read, of whatever camera, newest first.
@@ -205,6 +243,35 @@ mod tests {
         assert_eq!(store.calibrations("back").unwrap(), []);
         assert_eq!(store.calibration("c2").unwrap(), Some(calibration("c2", 2)));
         assert_eq!(store.calibration("c9").unwrap(), None);
+    }
+
+    #[test]
+    fn pages_have_every_calibration_once_and_read_no_other() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).unwrap();
+        for number in 0..9_i64 {
+            // Several that were made at the same time.
+            store.append_calibration(&calibration(&format!("c{number}"), number / 2)).unwrap();
+        }
+        let damage = "UPDATE calibrations SET document = '{}' WHERE id IN ('c3', 'c4')";
+        store.connection().execute(damage, []).unwrap();
+        let (first, next) = store.calibrations_page("front", None, Some(4)).unwrap();
+        assert_eq!(ids(&first), ["c8", "c7", "c6", "c5"]);
+        assert_eq!(store.unreadable(), [] as [String; 0], "a page reads nothing beyond it");
+        // A page of which nothing can be read is not the last one.
+        let (none, next) = store.calibrations_page("front", next.as_deref(), Some(2)).unwrap();
+        assert_eq!((ids(&none).len(), next.as_deref()), (0, Some("c3")));
+        let (last, next) = store.calibrations_page("front", next.as_deref(), Some(3)).unwrap();
+        assert_eq!((ids(&last), next), (vec!["c2", "c1", "c0"], None));
+        assert_eq!(ids(&store.calibrations("front").unwrap()).len(), 7);
+        for (camera, cursor) in [("front", "c9"), ("rear", "c8")] {
+            let unknown = store.calibrations_page(camera, Some(cursor), Some(1));
+            assert!(matches!(unknown, Err(StoreError::Missing { .. })));
+        }
+    }
+
+    fn ids(calibrations: &[Calibration]) -> Vec<&str> {
+        calibrations.iter().map(|calibration| calibration.id.as_str()).collect()
     }
 
     #[test]
