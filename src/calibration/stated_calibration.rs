@@ -40,6 +40,9 @@ pub fn stated_calibration(
             .to_owned(),
     ];
     reasons.extend(factory.sensors.iter().filter(|stated| stated.lens.is_none()).map(left_out));
+    if factory.sensor(SensorKind::Depth).is_some_and(|depth| depth.lens.is_some()) {
+        reasons.extend(assumed_reading(factory.depth_encoding));
+    }
     let verdict = Verdict { grade: Grade::Usable, reasons };
     Some(Calibration {
         id: "factory".to_owned(),
@@ -50,13 +53,28 @@ pub fn stated_calibration(
     })
 }
 
-/// The sensor as stated; `None` without a lens, or for depth whose readings' meaning is not.
+/// What is not stated of depth readings, in words.
+fn assumed_reading(stated: Option<DepthEncoding>) -> Option<String> {
+    match stated {
+        None => Some(
+            "the device does not state what readings of depth mean: millimeters are assumed"
+                .to_owned(),
+        ),
+        Some(DepthEncoding { reading: None, .. }) => Some(
+            "depth is left out: the device does not state what its disparities mean".to_owned(),
+        ),
+        Some(_) => None,
+    }
+}
+
+/// The sensor as stated; `None` without a lens, or for disparity of unknown meaning. Depth whose
+/// readings are not stated is in millimeters, as in sessions.
 fn sensor(factory: &FactoryCalibration, kind: SensorKind) -> Option<CalibratedSensor> {
     let stated = factory.sensor(kind)?;
     let lens = stated.lens?;
     match kind {
         SensorKind::Depth => {
-            let encoding = factory.depth_encoding?;
+            let encoding = factory.depth_encoding.unwrap_or(DepthEncoding::ORDINARY);
             Some(CalibratedSensor::depth(None, depth_sensor(stated, lens, encoding)?))
         }
         kind => Some(CalibratedSensor::image(SensorId::own(kind), image_sensor(stated, lens))),
@@ -159,6 +177,21 @@ mod tests {
             reasons.contains("not measured") && reasons.contains("infrared is left out"),
             "{reasons}"
         );
+    }
+
+    #[test]
+    fn depth_whose_readings_are_not_stated_is_in_millimeters() {
+        let of = |depth_encoding| {
+            let sensors = vec![stated(SensorKind::Depth, 385.25, true)];
+            stated_calibration(&FactoryCalibration { sensors, depth_encoding }, "front", 7)
+        };
+        let assumed = of(None).unwrap();
+        let reading = assumed.depth().unwrap().camera.reading;
+        assert_eq!(reading, DepthReading::Metric { unit_m: 0.001 });
+        assert!(assumed.verdict.reasons[1].contains("millimeters are assumed"));
+        let known = of(Some(DepthEncoding::ORDINARY)).unwrap();
+        assert_eq!(known.verdict.reasons.len(), 1);
+        assert_eq!(of(Some(DepthEncoding { reading: None, invalid: None })), None);
     }
 
     #[test]

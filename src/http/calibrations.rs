@@ -116,7 +116,7 @@ pub(super) async fn current_of(
     responses(
         (status = 200, description = "the factory's calibration", content(
             (CalibrationDocument = "application/json"), (String = "application/yaml"), (String = "application/xml"), (String = "text/plain"))),
-        (status = 404, description = "no such camera, or its device states nothing of its lenses", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "no such camera, or its device states no lens that a calibration can hold", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "an unknown format, or one that cannot hold this lens", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn stated(
@@ -128,7 +128,7 @@ pub(super) async fn stated(
     let now_ns = time::utc_ns(jiff::Timestamp::now());
     let stated = stated_calibration(&factory, &camera, now_ns).ok_or_else(|| {
         Problem::not_found(format!(
-            "the device of camera `{camera}` states nothing of its lenses, or is not there yet; run a session to calibrate it"
+            "the device of camera `{camera}` states no lens that a calibration can hold (`factory` in GET /v1/cameras/{camera} has what it states), or is not there yet; run a session to calibrate it"
         ))
     })?;
     written(stated, parameters).await

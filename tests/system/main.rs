@@ -41,6 +41,7 @@ mod service;
 mod shared_data;
 mod snapshots;
 mod solve_requests;
+mod stated_lenses;
 mod store_upkeep;
 #[cfg(unix)]
 mod tls;
