@@ -10,7 +10,7 @@ use crate::calibration::result::{
 };
 use crate::calibration::sensor::SensorId;
 use crate::calibration::session_record::SessionState;
-use crate::capture::{CaptureError, FrameSource, Pace, Simulated, SimulatedClock};
+use crate::capture::{CaptureError, FrameSource};
 use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::SensorKind;
@@ -20,7 +20,6 @@ use crate::pipeline::fleet::Fleet;
 use crate::pipeline::running::{CameraPlan, FleetOptions};
 use crate::pipeline::scripted::*;
 use crate::pipeline::session_request::{EndError, StartError};
-use crate::simulation::WorldOptions;
 use crate::store::Store;
 
 #[tokio::test]
@@ -187,22 +186,6 @@ async fn an_unfinished_session_goes_on_under_its_id() {
     );
 }
 
-/// A simulated camera that gives each frame as soon as it is taken.
-fn walking() -> CameraPlan {
-    let open = || {
-        let options = WorldOptions::new(3, ImageSize::new(320, 240));
-        let source = Simulated::new(&options, Pace::Fastest, SimulatedClock::Own);
-        Ok(Box::new(source) as Box<dyn FrameSource>)
-    };
-    CameraPlan {
-        name: "front".to_owned(),
-        kind: "simulator".to_owned(),
-        image_source: "camera 7".to_owned(),
-        open: Box::new(open),
-        may_stall: false,
-    }
-}
-
 /// SQLite says that the disk is full: the session pauses, says so everywhere, and nothing that was
 /// announced is missing; with room again it goes on by itself.
 #[tokio::test]
@@ -210,7 +193,7 @@ async fn a_session_pauses_while_it_cannot_be_stored_and_goes_on_by_itself() {
     let folder = tempfile::tempdir().unwrap();
     let store = Arc::new(Store::open(folder.path()).unwrap());
     let fleet =
-        Fleet::start(vec![walking()], Arc::clone(&store), &FleetOptions::default()).unwrap();
+        Fleet::start(vec![walking("front")], Arc::clone(&store), &FleetOptions::default()).unwrap();
     let mut events = fleet.events(Some(0));
     let id = fleet.start_session("front", request()).await.unwrap().id;
     until_session(&mut events, |record| record.views_kept >= 1).await;

@@ -4,11 +4,51 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// Runs `work`; a panic becomes an error in words. What `work` changed must be thrown away then.
 pub(super) fn guarded<T>(work: impl FnOnce() -> T) -> Result<T, String> {
+    #[cfg(test)]
+    let work = || {
+        faults::strike();
+        work()
+    };
     catch_unwind(AssertUnwindSafe(work)).map_err(|panic| {
         let text = panic.downcast_ref::<&str>().map(|text| (*text).to_owned());
         let text = text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default();
         format!("a fault in plumb itself ({text}); please report it")
     })
+}
+
+/// Faults that a test asks for: guarded work on a thread of this name panics.
+#[cfg(test)]
+pub(super) mod faults {
+    use std::sync::{Mutex, PoisonError};
+
+    static THREADS: Mutex<Vec<String>> = Mutex::new(Vec::new());
+
+    /// While it lives, guarded work of the thread panics.
+    pub(in crate::pipeline) struct InducedFault(String);
+
+    impl InducedFault {
+        pub(in crate::pipeline) fn on(thread: &str) -> Self {
+            threads(|threads| threads.push(thread.to_owned()));
+            Self(thread.to_owned())
+        }
+    }
+
+    impl Drop for InducedFault {
+        fn drop(&mut self) {
+            threads(|threads| threads.retain(|thread| *thread != self.0));
+        }
+    }
+
+    pub(super) fn strike() {
+        let current = std::thread::current();
+        let name = current.name().unwrap_or_default();
+        let is_struck = threads(|threads| threads.iter().any(|thread| thread == name));
+        assert!(!is_struck, "a test's fault on {name}");
+    }
+
+    fn threads<T>(of: impl FnOnce(&mut Vec<String>) -> T) -> T {
+        of(&mut THREADS.lock().unwrap_or_else(PoisonError::into_inner))
+    }
 }
 
 #[cfg(test)]

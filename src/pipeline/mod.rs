@@ -27,6 +27,8 @@ mod drift;
 pub mod event;
 #[cfg(test)]
 mod exchange_tests;
+#[cfg(test)]
+mod fault_tests;
 pub mod fleet;
 pub mod fleet_error;
 mod fleet_exchange;

@@ -5,7 +5,9 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
 
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
-use crate::capture::{CaptureError, FrameSource, SourceDescription};
+use crate::capture::{
+    CaptureError, FrameSource, Pace, Simulated, SimulatedClock, SourceDescription,
+};
 use crate::estimation::problem::LensChoice;
 use crate::geometry::board::{BoardSize, Chessboard};
 use crate::geometry::pixel::ImageSize;
@@ -16,6 +18,7 @@ use crate::pipeline::camera_status::{CameraState, CameraStatus};
 use crate::pipeline::event::{Event, EventKind, EventStream};
 use crate::pipeline::fleet::Fleet;
 use crate::pipeline::running::{CameraPlan, FleetOptions};
+use crate::simulation::WorldOptions;
 use crate::store::Store;
 use crate::store::error::StoreError;
 
@@ -123,6 +126,22 @@ pub(super) fn scripted(name: &str) -> (CameraPlan, Script) {
         may_stall: true,
     };
     (plan, Script { openings })
+}
+
+/// A simulated camera that gives each frame as soon as it is taken.
+pub(super) fn walking(name: &str) -> CameraPlan {
+    let open = || {
+        let options = WorldOptions::new(3, ImageSize::new(320, 240));
+        let source = Simulated::new(&options, Pace::Fastest, SimulatedClock::Own);
+        Ok(Box::new(source) as Box<dyn FrameSource>)
+    };
+    CameraPlan {
+        name: name.to_owned(),
+        kind: "simulator".to_owned(),
+        image_source: "camera 7".to_owned(),
+        open: Box::new(open),
+        may_stall: false,
+    }
 }
 
 /// A fleet that retries at once and has patience with silence, `stall` says how much.
