@@ -6,6 +6,7 @@ use std::path::Path;
 use serde::de::DeserializeOwned;
 
 use crate::calibration::result::{Calibration, ImageCalibration};
+use crate::calibration::sensor::SensorId;
 use crate::cli::Failure;
 use crate::document::calibration::CalibrationDocument;
 use crate::document::reading::from_json;
@@ -40,14 +41,14 @@ pub fn image_sensor<'a>(
     calibration: &'a Calibration,
     asked: Option<&str>,
     file: &str,
-) -> Result<&'a ImageCalibration, Failure> {
-    let named =
-        || calibration.image_sensors().map(|(id, sensor)| (calibration.name_of(id), sensor));
-    let known = named().map(|(name, _)| name).collect::<Vec<_>>().join(", ");
-    let found = match asked {
-        Some(asked) => named().find(|(name, _)| name == asked).map(|(_, sensor)| sensor),
-        None => calibration.guide(),
-    };
+) -> Result<(&'a SensorId, &'a ImageCalibration), Failure> {
+    let mut sensors = calibration.image_sensors();
+    let found = sensors.find(|(id, _)| match asked {
+        Some(asked) => calibration.name_of(id) == asked,
+        None => id.camera.is_none(),
+    });
+    let names = calibration.image_sensors().map(|(id, _)| calibration.name_of(id));
+    let known = names.collect::<Vec<_>>().join(", ");
     found.ok_or_else(|| {
         Failure::failed(match asked {
             _ if known.is_empty() => format!("{file}: calibrates no image sensor"),

@@ -8,19 +8,17 @@ use serde::Serialize;
 use crate::calibration::result::Calibration;
 use crate::calibration::stereo_pair::StereoPair;
 use crate::cli::files::{read_calibration, write_file};
-use crate::cli::result_image::{png, result_name};
+use crate::cli::result_image::{mapped_png, result_name};
 use crate::cli::row_differences::{RowDifferences, differences};
-use crate::cli::search::read_luma;
 use crate::cli::sources::{FrameSets, SourcedFrames, TopicArgs, Unreadable};
 use crate::cli::target_args::read_target;
 use crate::cli::{Failure, output, progress};
 use crate::detection::board_detection::{DetectOptions, Detection};
 use crate::detection::finder::TargetFinder;
 use crate::geometry::board::{BoardSize, Chessboard};
-use crate::geometry::pixel::ImageSize;
 use crate::geometry::rectification::{RectifiedCamera, StereoRectification};
 use crate::geometry::target::Target;
-use crate::imaging::decode;
+use crate::imaging::decode::luma;
 use crate::imaging::frame::SensorKind;
 use crate::imaging::gray::GrayImage;
 use crate::imaging::rectify::rectifying_maps;
@@ -123,6 +121,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let mut rectifier = Rectifier {
         maps: rectifying_maps(&pair.cameras, &stereo),
         stereo,
+        sensors: pair.sensors.each_ref().map(|id| id.kind),
         folders,
         finder: target.as_ref().map(TargetFinder::new),
         all_differences: Vec::new(),
@@ -215,6 +214,8 @@ fn taken_together(
 struct Rectifier {
     maps: [PixelMap; 2],
     stereo: StereoRectification,
+    /// Whose images they are.
+    sensors: [SensorKind; 2],
     folders: [PathBuf; 2],
     finder: Option<TargetFinder>,
     all_differences: Vec<f64>,
@@ -226,13 +227,14 @@ impl Rectifier {
         let [left, right] = &self.folders;
         let out = [left.join(result_name(&frames[0])), right.join(result_name(&frames[1]))];
         let mut gray = Vec::new();
-        for ((frames, map), out) in frames.iter().zip(&self.maps).zip(&out) {
+        for (k, out) in out.iter().enumerate() {
+            let frames = (&frames[k], self.sensors[k]);
             let is_source = |path: PathBuf| out.canonicalize().is_ok_and(|known| known == path);
-            if Path::new(&frames.path()).canonicalize().is_ok_and(is_source) {
+            if Path::new(&images[k]).canonicalize().is_ok_and(is_source) {
                 let name = out.display();
                 return Err(format!("{name} would be written over the image; give another --out"));
             }
-            gray.push(write_rectified(frames, map, out)?);
+            gray.push(write_rectified(frames, &self.maps[k], out)?);
         }
         let measured = self.differences(&gray);
         self.all_differences.extend(measured.iter().flatten());
@@ -260,30 +262,25 @@ impl Rectifier {
 
 /// Writes one image rectified; its luma, rectified.
 fn write_rectified(
-    frames: &SourcedFrames,
+    (frames, sensor): (&SourcedFrames, SensorKind),
     map: &PixelMap,
     out: &Path,
 ) -> Result<GrayImage, String> {
     let path = frames.path();
-    let other_size = |size: ImageSize| {
+    let in_path = |reason: String| format!("{path}: {reason}");
+    let frame = frames.image_of(sensor).map_err(in_path)?;
+    let other_size = || {
         format!(
-            "{path}: {size} pixels, but the calibration is for {}; give images of the calibrated cameras, the left one's first",
+            "{path}: {} pixels, but the calibration is for {}; give images of the calibrated cameras, the left one's first",
+            frame.size,
             map.source_size()
         )
     };
-    let mut luma = GrayImage::default();
-    read_luma(frames, &mut luma).map_err(|reason| format!("{path}: {reason}"))?;
-    let gray =
-        map.gray(luma.view(), Interpolation::Bicubic).ok_or_else(|| other_size(luma.size()))?;
-    let frame = [SensorKind::Color, SensorKind::Infrared]
-        .into_iter()
-        .find_map(|sensor| frames.set.frame(sensor))
-        .ok_or_else(|| format!("{path}: no image in this frame set"))?;
-    let image = decode::rgb(frame).map_err(|error| format!("{path}: {error}"))?;
-    let rectified =
-        map.rgb(&image, Interpolation::Bicubic).ok_or_else(|| other_size(luma.size()))?;
-    let bytes = png(rectified).map_err(|error| format!("{path}: {error}"))?;
-    write_file(out, &bytes).map_err(|failure| failure.line().unwrap_or_default().to_owned())?;
+    let mut source = GrayImage::default();
+    luma(frame, &mut source).map_err(|error| in_path(error.to_string()))?;
+    let gray = map.gray(source.view(), Interpolation::Bicubic).ok_or_else(other_size)?;
+    let rectified = mapped_png(frame, map).map_err(in_path)?.ok_or_else(other_size)?;
+    write_file(out, &rectified).map_err(|failure| failure.line().unwrap_or_default().to_owned())?;
     Ok(gray)
 }
 

@@ -69,9 +69,5 @@ pub(super) fn frame_facts(frames: &SourcedFrames, image_size: ImageSize) -> Fram
 
 /// The luma of the color image, else of the infrared one.
 pub(super) fn read_luma(frames: &SourcedFrames, image: &mut GrayImage) -> Result<(), String> {
-    let frame = [SensorKind::Color, SensorKind::Infrared]
-        .into_iter()
-        .find_map(|sensor| frames.set.frame(sensor));
-    let frame = frame.ok_or_else(|| frames.no_image().to_string())?;
-    luma(frame, image).map_err(|error| error.to_string())
+    luma(frames.image_of(SensorKind::Color)?, image).map_err(|error| error.to_string())
 }

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use crate::imaging::frame::{FrameSet, SensorKind};
+use crate::imaging::frame::{Frame, FrameSet, SensorKind};
 use crate::imaging::image_file::frame_from_file;
 use crate::imaging::no_image::NoImage;
 use crate::imaging::timestamp::HostTime;
@@ -49,6 +49,23 @@ impl SourcedFrames {
     /// That they hold no image, and what is missing where.
     pub fn no_image(&self) -> NoImage {
         NoImage::of(&self.set).in_folder(self.folder.as_deref())
+    }
+
+    /// The image of `sensor`, which is infrared's where a camera has no color. An image by itself may
+    /// be any sensor's.
+    ///
+    /// # Errors
+    /// That there is none, in one line.
+    pub fn image_of(&self, sensor: SensorKind) -> Result<&Frame, String> {
+        let other = match (sensor, self.set.frames.as_slice()) {
+            (SensorKind::Color, _) => self.set.frame(SensorKind::Infrared),
+            (_, [only]) if only.sensor.is_image() => Some(only),
+            _ => None,
+        };
+        self.set.frame(sensor).or(other).ok_or_else(|| match sensor {
+            SensorKind::Color => self.no_image().to_string(),
+            sensor => format!("it holds no {} image beside the others", sensor.name()),
+        })
     }
 
     /// The image's path; for a frame of a recording its path and sequence number.

@@ -6,15 +6,13 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use crate::cli::files::{image_sensor, read_calibration, write_file};
-use crate::cli::result_image::{png, result_name};
+use crate::cli::result_image::{mapped_png, result_name};
 use crate::cli::sources::{FrameSets, SourcedFrames, TopicArgs};
 use crate::cli::{Failure, output, progress};
 use crate::document::lens::LensDocument;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
-use crate::imaging::decode;
 use crate::imaging::frame::SensorKind;
-use crate::imaging::remap::Interpolation;
 use crate::imaging::undistort::{UndistortOptions, Undistortion};
 
 /// Writes undistorted images
@@ -71,9 +69,9 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     }
     let calibration = read_calibration(&args.calibration)?;
     let file = args.calibration.display().to_string();
-    let color = image_sensor(&calibration, args.sensor.as_deref(), &file)?;
+    let (id, sensor) = image_sensor(&calibration, args.sensor.as_deref(), &file)?;
     let options = UndistortOptions { balance: args.balance, size: None };
-    let undistortion = Undistortion::new(&color.lens, color.image_size, &options);
+    let undistortion = Undistortion::new(&sensor.lens, sensor.image_size, &options);
     std::fs::create_dir_all(&args.out).map_err(|error| {
         Failure::failed(format!("{}: cannot be made ({error})", args.out.display()))
     })?;
@@ -83,7 +81,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let spinner = progress::spinner("undistorting");
     for frames in FrameSets::new(args.images.iter().cloned()).reading(&args.reading) {
         let outcome = match frames {
-            Ok(frames) => undistorted(&frames, &undistortion, &args.out, &mut taken),
+            Ok(frames) => undistorted((&frames, id.kind), &undistortion, &args.out, &mut taken),
             Err(unreadable) => Err(unreadable.reason),
         };
         match outcome {
@@ -96,7 +94,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     report(
         args,
         &undistortion.lens,
-        color.image_size,
+        sensor.image_size,
         undistortion.map.seen_fraction(),
         written,
         &failures,
@@ -138,20 +136,16 @@ fn report(
 
 /// Undistorts one image into `folder`; why not, in one line.
 fn undistorted(
-    frames: &SourcedFrames,
+    (frames, sensor): (&SourcedFrames, SensorKind),
     undistortion: &Undistortion,
     folder: &Path,
     taken: &mut BTreeSet<PathBuf>,
 ) -> Result<UndistortedImage, String> {
     let path = frames.path();
-    let frame = frames
-        .set
-        .frame(SensorKind::Color)
-        .ok_or_else(|| format!("{path}: {}", frames.no_image()))?;
-    let image = decode::rgb(frame).map_err(|error| format!("{path}: {error}"))?;
-    let size = ImageSize::new(image.width(), image.height());
-    let flat = undistortion.map.rgb(&image, Interpolation::Bicubic).ok_or_else(|| {
-        let expected = undistortion.map.source_size();
+    let in_path = |reason: String| format!("{path}: {reason}");
+    let frame = frames.image_of(sensor).map_err(in_path)?;
+    let flat = mapped_png(frame, &undistortion.map).map_err(in_path)?.ok_or_else(|| {
+        let (size, expected) = (frame.size, undistortion.map.source_size());
         format!("{path}: {size} pixels, but the calibration is for {expected}; give images of the calibrated camera")
     })?;
     let out = folder.join(result_name(frames));
@@ -161,7 +155,6 @@ fn undistorted(
             out.display()
         ));
     }
-    let png = png(flat).map_err(|error| format!("{path}: {error}"))?;
-    write_file(&out, &png).map_err(|failure| failure.line().unwrap_or_default().to_owned())?;
+    write_file(&out, &flat).map_err(|failure| failure.line().unwrap_or_default().to_owned())?;
     Ok(UndistortedImage { path, out: out.display().to_string() })
 }

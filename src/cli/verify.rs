@@ -56,7 +56,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<(), Failure> {
     let calibration = read_calibration(&args.calibration)?;
     let file = args.calibration.display().to_string();
-    let sensor = image_sensor(&calibration, args.sensor.as_deref(), &file)?;
+    let (_, sensor) = image_sensor(&calibration, args.sensor.as_deref(), &file)?;
     let square_m = match calibration.target.and_then(|target| target.board()) {
         Some(Target::Chessboard(board)) => board.square_m,
         _ => ANY_SQUARE_M,

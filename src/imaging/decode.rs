@@ -9,7 +9,7 @@ pub use crate::imaging::decode_error::{DecodeError, MAX_PIXELS};
 
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::{Frame, PixelFormat};
-use crate::imaging::gray::{GrayImage, GrayView};
+use crate::imaging::gray::{Gray16Image, GrayImage, GrayView};
 use crate::imaging::jpeg;
 use crate::imaging::pixel_format::{
     buffer_length, luma_row_from_bgr, luma_row_from_rgb, luma_row_from_upper_bytes,
@@ -94,6 +94,25 @@ pub fn rgb(frame: &Frame) -> Result<RgbImage, DecodeError> {
         PixelFormat::Depth16 => {
             Err(DecodeError::WrongKind { format: frame.format.name(), wanted: "an image" })
         }
+    }
+}
+
+/// The values of a gray frame of 16 bits; `None` for one of another kind.
+///
+/// # Errors
+/// As [`luma`].
+pub fn gray16(frame: &Frame) -> Result<Option<Gray16Image>, DecodeError> {
+    match frame.format {
+        PixelFormat::Png if png::is_gray16(&frame.bytes) => Ok(match png::decode(&frame.bytes)? {
+            DynamicImage::ImageLuma16(image) => Some(image),
+            _ => None,
+        }),
+        PixelFormat::Mono16 => {
+            let values = rows_of(frame)?.flat_map(|row| row.chunks_exact(2));
+            let values = values.map(|pair| u16::from_le_bytes([pair[0], pair[1]])).collect();
+            Ok(Gray16Image::from_raw(frame.size.width, frame.size.height, values))
+        }
+        _ => Ok(None),
     }
 }
 
@@ -308,10 +327,10 @@ mod tests {
         assert_eq!(luma_of(&raw).unwrap().pixels(), expected);
         let deep = image::ImageBuffer::<image::Luma<u16>, _>::from_vec(2, 1, vec![0x1234, 0xff00])
             .unwrap();
-        assert_eq!(
-            luma_of(&file(PixelFormat::Png, &png(&deep.into()))).unwrap().pixels(),
-            [0x12, 0xff]
-        );
+        let deep = file(PixelFormat::Png, &png(&deep.into()));
+        assert_eq!(luma_of(&deep).unwrap().pixels(), [0x12, 0xff]);
+        assert_eq!(gray16(&deep).unwrap().unwrap().as_raw(), &[0x1234, 0xff00]);
+        assert_eq!(gray16(&raw), Ok(None));
     }
 
     #[test]
@@ -325,6 +344,8 @@ mod tests {
         assert_eq!(uyvy.pixels(), [128, 128, 128, 128]);
         let mono16 = luma_of(&frame(PixelFormat::Mono16, ImageSize::new(2, 2), 6, &bytes)).unwrap();
         assert_eq!(mono16.pixels(), [128, 128, 128, 128]);
+        let deep = gray16(&frame(PixelFormat::Mono16, ImageSize::new(2, 2), 6, &bytes)).unwrap();
+        assert_eq!(deep.unwrap().as_raw(), &[0x800a, 0x8014, 0x801e, 0x8028]);
         let rgb_out = rgb(&frame(PixelFormat::Yuyv, ImageSize::new(2, 2), 6, &bytes)).unwrap();
         assert_eq!(rgb_out.as_raw(), &[10, 10, 10, 20, 20, 20, 30, 30, 30, 40, 40, 40]);
     }

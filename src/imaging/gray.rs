@@ -1,6 +1,9 @@
-//! Eight-bit luma images: what boards are searched for in.
+//! Eight-bit luma images: what boards are searched for in; and images of 16 bits.
 
 use crate::geometry::pixel::ImageSize;
+
+/// A gray image of 16 bits, as infrared sensors give it.
+pub type Gray16Image = image::ImageBuffer<image::Luma<u16>, Vec<u16>>;
 
 /// An owned 8-bit luma image, rows without padding.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]

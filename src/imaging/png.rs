@@ -31,6 +31,11 @@ pub(super) fn size(bytes: &[u8]) -> Result<ImageSize, DecodeError> {
     plausible::check_size(ImageSize::new(width, height), 1, bytes.len())
 }
 
+/// Whether the header states one channel of 16 bits.
+pub(super) fn is_gray16(bytes: &[u8]) -> bool {
+    bytes.get(24..26) == Some(&[16, 0])
+}
+
 /// The pixels; those with an alpha channel as red, green and blue.
 ///
 /// # Errors

@@ -3,7 +3,7 @@
 use image::RgbImage;
 
 use crate::geometry::pixel::{ImageSize, Pixel};
-use crate::imaging::gray::{GrayImage, GrayView};
+use crate::imaging::gray::{Gray16Image, GrayImage, GrayView};
 
 /// How values between pixels are found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -14,6 +14,28 @@ pub enum Interpolation {
     /// From the nearest 4×4 pixels, Keys' kernel with a = −1/2 (*Cubic convolution interpolation*,
     /// IEEE ASSP 1981): sharp.
     Bicubic,
+}
+
+/// A pixel's value in one channel, of 8 or 16 bits.
+trait ChannelValue: Copy + Into<u32> + Into<f32> {
+    /// White.
+    const MOST: f32;
+    /// `value`, which is at most [`Self::MOST`].
+    fn of(value: u32) -> Self;
+}
+
+impl ChannelValue for u8 {
+    const MOST: f32 = 255.0;
+    fn of(value: u32) -> Self {
+        value as Self
+    }
+}
+
+impl ChannelValue for u16 {
+    const MOST: f32 = 65_535.0;
+    fn of(value: u32) -> Self {
+        value as Self
+    }
 }
 
 /// Sub-pixel steps that a map resolves between two pixels.
@@ -91,7 +113,23 @@ impl PixelMap {
         }
         let mut result =
             GrayImage::filled(self.target.width as usize, self.target.height as usize, 0);
-        self.apply::<1>(&rows, result.pixels_mut(), interpolation);
+        self.apply::<u8, 1>(&rows, result.pixels_mut(), interpolation);
+        Some(result)
+    }
+
+    /// As [`Self::gray`], of 16 bits.
+    pub fn gray16(
+        &self,
+        source: &Gray16Image,
+        interpolation: Interpolation,
+    ) -> Option<Gray16Image> {
+        if ImageSize::new(source.width(), source.height()) != self.source {
+            return None;
+        }
+        let rows: Vec<&[u16]> =
+            source.as_raw().chunks_exact((source.width() as usize).max(1)).collect();
+        let mut result = Gray16Image::new(self.target.width, self.target.height);
+        self.apply::<u16, 1>(&rows, &mut result, interpolation);
         Some(result)
     }
 
@@ -103,14 +141,14 @@ impl PixelMap {
         let rows: Vec<&[u8]> =
             source.as_raw().chunks_exact(3 * (source.width() as usize).max(1)).collect();
         let mut result = RgbImage::new(self.target.width, self.target.height);
-        self.apply::<3>(&rows, &mut result, interpolation);
+        self.apply::<u8, 3>(&rows, &mut result, interpolation);
         Some(result)
     }
 
-    fn apply<const CHANNELS: usize>(
+    fn apply<T: ChannelValue, const CHANNELS: usize>(
         &self,
-        rows: &[&[u8]],
-        out: &mut [u8],
+        rows: &[&[T]],
+        out: &mut [T],
         interpolation: Interpolation,
     ) {
         let width = self.source.width.max(1);
@@ -120,10 +158,10 @@ impl PixelMap {
             }
             let at = [(entry.first % width) as usize, (entry.first / width) as usize];
             match interpolation {
-                Interpolation::Bilinear => bilinear::<CHANNELS>(rows, at, entry.part, out),
+                Interpolation::Bilinear => bilinear::<T, CHANNELS>(rows, at, entry.part, out),
                 Interpolation::Bicubic => {
                     let weights = entry.part.map(|part| self.cubic[usize::from(part)]);
-                    bicubic::<CHANNELS>(rows, at, weights, out);
+                    bicubic::<T, CHANNELS>(rows, at, weights, out);
                 }
             }
         }
@@ -149,28 +187,30 @@ impl Entry {
     }
 }
 
-fn bilinear<const CHANNELS: usize>(
-    rows: &[&[u8]],
+fn bilinear<T: ChannelValue, const CHANNELS: usize>(
+    rows: &[&[T]],
     [x, y]: [usize; 2],
     part: [u16; 2],
-    out: &mut [u8],
+    out: &mut [T],
 ) {
     let [s, t] = part.map(u32::from);
     let [upper, lower] = [y, y + 1].map(|y| &rows[y][x * CHANNELS..(x + 2) * CHANNELS]);
     let whole = STEPS as u32;
     for (channel, out) in out.iter_mut().enumerate() {
-        let across = |row: &[u8]| {
-            u32::from(row[channel]) * (whole - s) + u32::from(row[channel + CHANNELS]) * s
+        let across = |row: &[T]| {
+            let [left, right]: [u32; 2] = [row[channel].into(), row[channel + CHANNELS].into()];
+            left * (whole - s) + right * s
         };
-        *out = ((across(upper) * (whole - t) + across(lower) * t + (1 << 15)) >> 16) as u8;
+        // At most (2^16 - 1) 2^16 + 2^15: it fits.
+        *out = T::of((across(upper) * (whole - t) + across(lower) * t + (1 << 15)) >> 16);
     }
 }
 
-fn bicubic<const CHANNELS: usize>(
-    rows: &[&[u8]],
+fn bicubic<T: ChannelValue, const CHANNELS: usize>(
+    rows: &[&[T]],
     [x, y]: [usize; 2],
     weights: [[f32; 4]; 2],
-    out: &mut [u8],
+    out: &mut [T],
 ) {
     let width = rows[0].len() / CHANNELS;
     let columns: [usize; 4] = std::array::from_fn(|i| (x + i).saturating_sub(1).min(width - 1));
@@ -181,11 +221,14 @@ fn bicubic<const CHANNELS: usize>(
             let across: f32 = columns
                 .iter()
                 .zip(weights[0])
-                .map(|(x, weight)| weight * f32::from(row[x * CHANNELS + channel]))
+                .map(|(x, weight)| {
+                    let value: f32 = row[x * CHANNELS + channel].into();
+                    weight * value
+                })
                 .sum();
             sum += weight * across;
         }
-        *out = sum.round().clamp(0.0, 255.0) as u8;
+        *out = T::of(sum.round().clamp(0.0, T::MOST) as u32);
     }
 }
 
@@ -243,6 +286,40 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn sixteen_bits_stay_sixteen_bits() {
+        let size = ImageSize::new(60, 40);
+        let deep = |x: f64, y: f64| 257.0 * waves(x, y);
+        let image = Gray16Image::from_fn(60, 40, |x, y| {
+            image::Luma([deep(f64::from(x), f64::from(y)).round() as u16])
+        });
+        let same = PixelMap::new(size, size, Some);
+        let moved = |p: Pixel| Some(Pixel::new(0.9 * p.x + 3.3, 0.8 * p.y + 2.6));
+        let map = PixelMap::new(size, ImageSize::new(50, 40), moved);
+        // Of 65535, where the steps of 8 bits are 257.
+        for (interpolation, most) in [(Interpolation::Bilinear, 900), (Interpolation::Bicubic, 60)]
+        {
+            assert_eq!(same.gray16(&image, interpolation).unwrap(), image);
+            let result = map.gray16(&image, interpolation).unwrap();
+            for (x, y, found) in result.enumerate_pixels() {
+                if !(2..48).contains(&x) || !(2..38).contains(&y) {
+                    continue;
+                }
+                let place = moved(Pixel::new(f64::from(x), f64::from(y))).unwrap();
+                let expected = deep(place.x, place.y).round() as u16;
+                assert!(
+                    found.0[0].abs_diff(expected) <= most,
+                    "{found:?} not {expected} at {x} {y}, {interpolation:?}"
+                );
+            }
+            let white = Gray16Image::from_pixel(60, 40, image::Luma([u16::MAX]));
+            let result = map.gray16(&white, interpolation).unwrap();
+            let seen = |(x, y, _): &(u32, u32, _)| map.is_seen(*x as usize, *y as usize);
+            assert!(result.enumerate_pixels().filter(seen).all(|(.., p)| p.0 == [u16::MAX]));
+        }
+        assert!(map.gray16(&Gray16Image::new(9, 9), Interpolation::Bicubic).is_none());
     }
 
     #[test]

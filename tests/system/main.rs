@@ -47,4 +47,5 @@ mod store_upkeep;
 mod tls;
 #[cfg(unix)]
 mod tokens;
+mod undistort;
 mod words;
