@@ -13,6 +13,16 @@ pub enum RgbdError {
         /// Why not.
         source: EstimationError,
     },
+    /// Depth images without a reading in them.
+    #[error(
+        "none of {images} depth images holds a measured pixel, all read {reading} everywhere: see that the depth stream is on, recorded as 16-bit depth, and has the board within its range; or leave depth out and calibrate color by itself"
+    )]
+    NothingMeasured {
+        /// How many views have one.
+        images: usize,
+        /// What it reads: that nothing was measured.
+        reading: u16,
+    },
     /// Too few frame sets have the board's surface in depth.
     #[error(
         "only {usable} of {all} views have the board in the depth image, 3 are needed{reasons}: check that depth and color are of the same device and moment"

@@ -1,5 +1,6 @@
 //! What a camera with color and depth saw, before anything is calibrated.
 
+use crate::calibration::rgbd_error::RgbdError;
 use crate::calibration::solve::SolvedCamera;
 use crate::estimation::problem::{BoardView, CameraProblem, Correspondence};
 use crate::geometry::depth_camera::{DepthReading, PosedDepthLens};
@@ -53,6 +54,27 @@ pub struct RgbdInput {
     pub depth: DepthSensor,
     /// What was seen.
     pub frame_sets: Vec<RgbdFrameSet>,
+}
+
+impl DepthSensor {
+    /// Whether `reading` means that nothing was measured.
+    fn is_none(&self, reading: u16) -> bool {
+        let is_metric = matches!(self.reading, Some(DepthReading::Metric { .. }));
+        self.invalid == Some(reading) || (is_metric && reading == 0)
+    }
+}
+
+/// # Errors
+/// [`RgbdError::NothingMeasured`] where no depth image has a reading.
+pub(super) fn check_measured(input: &RgbdInput) -> Result<(), RgbdError> {
+    let images = || views(input).filter_map(|frame_set| frame_set.depth.as_ref());
+    let nothing = |image: &DepthImage| image.only_reading().filter(|r| input.depth.is_none(*r));
+    match images().next().and_then(nothing) {
+        Some(reading) if images().all(|image| nothing(image).is_some()) => {
+            Err(RgbdError::NothingMeasured { images: images().count(), reading })
+        }
+        _ => Ok(()),
+    }
 }
 
 /// The frame sets that are views.

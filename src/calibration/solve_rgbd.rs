@@ -6,7 +6,7 @@ use crate::calibration::rgbd_check::check_joint;
 pub use crate::calibration::rgbd_error::RgbdError;
 pub use crate::calibration::rgbd_guess::ViewWithoutDepth;
 use crate::calibration::rgbd_guess::{Guess, Measured};
-use crate::calibration::rgbd_input::{RgbdInput, poses, problem, views};
+use crate::calibration::rgbd_input::{RgbdInput, check_measured, poses, problem, views};
 use crate::calibration::solve::{SolvedCamera, solve_views};
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::consistent_labels::{FrameSetPose, consistent_labels};
@@ -71,6 +71,7 @@ const MARGIN_SQUARES: f64 = 0.8;
 /// # Errors
 /// [`RgbdError`]: a sensor that cannot be calibrated by itself, or too few views with depth.
 pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRgbd, RgbdError> {
+    check_measured(input)?;
     let of_sensor = |sensor| move |source| RgbdError::Sensor { sensor, source };
     // The joint problem takes all rows as read at once, and weights by what each sensor leaves.
     let options = &CameraOptions { shutter: Shutter::Global, ..options.clone() };

@@ -84,7 +84,7 @@ fn each_wrong_thing_is_one_clear_line() {
         expect(
             &format!("{name}: a depth frame of zeros each"),
             &with_depth(right.clone(), |_, depth| vec![0; depth.readings().len()]),
-            "only 0 of",
+            "none of 11 depth images holds a measured pixel",
         );
         let mut unit = right.clone();
         unit.depth.reading = Some(DepthReading::Metric { unit_m: 0.001 });

@@ -146,7 +146,11 @@ fn each_wrong_thing_is_one_clear_line() {
             "that depth and color are of the same device",
         ),
         ("a surface that is not flat", Change::Depth(uneven), "not flat"),
-        ("zeros", Change::Depth(zeros), "only 0 of"),
+        (
+            "zeros",
+            Change::Depth(zeros),
+            "none of 14 depth images holds a measured pixel, all read 0 everywhere",
+        ),
         ("no unit", Change::Stated("[depth]\nkind = \"depth\"\n"), "unit_m"),
         ("another unit", Change::Stated(other_unit), "check the unit of depth"),
         ("no kind", Change::Stated("[depth]\nunit_m = 0.001\n"), "kind"),
