@@ -5,6 +5,7 @@ use serde::Serialize;
 use crate::calibration::information::pool::{Pool, PoolStep, SuggestedNext};
 use crate::calibration::information::projection_goal::GoalFigure;
 use crate::calibration::result::CalibratedView;
+use crate::calibration::solve::{SolvedCamera, solve_views};
 use crate::cli::gather::unused;
 use crate::cli::{Failure, output};
 use crate::document::pose::PoseDocument;
@@ -86,11 +87,12 @@ impl ChooseArgs {
         if !self.is_asked() {
             return Ok(Some(((problem, others), options.clone())));
         }
+        let Some(count) = self.choose else {
+            let solved = solve_views(&problem, options).map_err(Failure::failed)?;
+            return print_order(&problem, &solved, json).map(|()| None);
+        };
         let estimate = calibrate_camera(&problem, options).map_err(Failure::failed)?;
         let pool = Pool::of(&problem, &estimate, GoalFigure::Worst);
-        let Some(count) = self.choose else {
-            return print_order(&problem, &estimate, &pool, json).map(|()| None);
-        };
         let chosen = pool.choose(count as usize);
         // A few images cannot separate lens models as well as all of them.
         let lens = LensChoice::Model(estimate.lens.model());
@@ -135,26 +137,29 @@ fn chosen_images(
     (CameraProblem { views, ..problem }, left)
 }
 
-fn print_order(
-    problem: &CameraProblem,
-    estimate: &CameraEstimate,
-    pool: &Pool,
-    json: bool,
-) -> Result<(), Failure> {
+/// Prints the order of a problem's images. All of them together leave what their calibration
+/// states; what widens that beyond each image's own corners (images that differ, a board that is
+/// not flat) widens the figures of fewer images in proportion.
+fn print_order(problem: &CameraProblem, solved: &SolvedCamera, json: bool) -> Result<(), Failure> {
+    let estimate = &solved.estimate;
+    let stated_px = solved.sensor.uncertainty_px.worst;
+    let order = Pool::of(problem, estimate, GoalFigure::Worst).order();
+    let wider = order.last().map_or(1.0, |last| stated_px / last.after_px);
     let taught = |step: &PoolStep| TaughtDocument {
         name: problem.views[step.view].name.clone(),
-        uncertainty_px: step.after_px,
+        uncertainty_px: wider * step.after_px,
         gain: 1.0 - step.after_px / step.before_px,
     };
-    let next = SuggestedNext::of(problem, estimate).and_then(|next| {
+    let next = SuggestedNext::of(problem, estimate).and_then(|SuggestedNext { view, message }| {
         Some(NextDocument {
-            message: next.message,
-            target_pose: (&next.view.camera_from_board).into(),
-            uncertainty_px: next.view.uncertainty_px,
-            expected_uncertainty_px: next.view.expected_uncertainty_px?,
+            message,
+            target_pose: (&view.camera_from_board).into(),
+            uncertainty_px: stated_px,
+            expected_uncertainty_px: stated_px * view.expected_uncertainty_px?
+                / view.uncertainty_px,
         })
     });
-    let document = OrderDocument { order: pool.order().iter().map(taught).collect(), next };
+    let document = OrderDocument { order: order.iter().map(taught).collect(), next };
     if json {
         return output::print_json(&document);
     }

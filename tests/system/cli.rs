@@ -1,6 +1,9 @@
 //! The command line's own rules: help, one JSON document on stdout, exit codes, closed pipes.
 
+use serde_json::Value;
+
 use crate::program::plumb;
+use crate::served::recording;
 
 const COMMANDS: &[&str] = &[
     "serve",
@@ -70,4 +73,24 @@ fn the_focus_of_a_machine_vision_lens() {
             < 1e-9,
         "{answer}"
     );
+}
+
+#[test]
+fn the_order_of_images_ends_with_what_their_calibration_states() {
+    let hard = recording("hard.mcap").display().to_string();
+    let calibrate =
+        ["calibrate", "--board", "9x6", "--square", "25mm", "--lens", "brown", "--json"];
+    let document = |extra: &[&str]| -> Value {
+        let finished = plumb([&calibrate[..], extra, &[&hard]].concat());
+        assert_eq!(finished.code, Some(0), "{}", finished.stderr);
+        serde_json::from_str(&finished.stdout).unwrap()
+    };
+    let calibration = document(&[]);
+    let stated_px = calibration["sensors"]["color"]["uncertainty_px"]["worst"].as_f64().unwrap();
+    let ordered = document(&["--order"]);
+    let last = ordered["order"].as_array().unwrap().last().unwrap();
+    for (what, figure) in [("last", last), ("next", &ordered["next"])] {
+        let figure_px = figure["uncertainty_px"].as_f64().unwrap();
+        assert!((figure_px / stated_px - 1.0).abs() < 1e-9, "{what}: {figure_px}, {stated_px}");
+    }
 }
