@@ -65,13 +65,25 @@ fn from_kalibr(text: &str) -> Result<TargetDocument, DocumentError> {
             _ => {}
         }
     }
-    let missing = |name: &str| DocumentError::field(name, "is missing");
-    Ok(TargetDocument {
-        kind: kind.ok_or_else(|| missing("target_type"))?,
-        cols: Some(cols.ok_or_else(|| missing("tagCols"))?),
-        rows: Some(rows.ok_or_else(|| missing("tagRows"))?),
-        ..read
-    })
+    let missing = |key: &str, example: &str| {
+        DocumentError::field(key, format!("is missing; add it, as in `{key}: {example}`"))
+    };
+    let kind = kind.ok_or_else(|| missing("target_type", "'aprilgrid'"))?;
+    let is_grid = kind == TargetKind::AprilGrid;
+    let [cols_key, rows_key] =
+        if is_grid { ["tagCols", "tagRows"] } else { ["targetCols", "targetRows"] };
+    let cols = cols.ok_or_else(|| missing(cols_key, "6"))?;
+    let rows = rows.ok_or_else(|| missing(rows_key, "6"))?;
+    if is_grid && read.tag_m.is_none() {
+        return Err(missing("tagSize", "0.088 # a tag's side, in meters"));
+    }
+    if is_grid && read.spacing.is_none() {
+        return Err(missing("tagSpacing", "0.3 # the gap between tags over a tag's side"));
+    }
+    if !is_grid && read.square_m.is_none() {
+        return Err(missing("rowSpacingMeters", "0.06 # a square's side"));
+    }
+    Ok(TargetDocument { kind, cols: Some(cols), rows: Some(rows), ..read })
 }
 
 fn kind_of_kalibr(name: &str) -> Result<TargetKind, DocumentError> {
@@ -121,6 +133,23 @@ mod tests {
                 .starts_with("marker_m: a marker of 0.04 m does not fit")
         );
         assert!(said(&charuco(r#""size":1"#)).contains("size"));
+        let lines = [
+            ("target_type: 'aprilgrid'", "target_type: 'aprilgrid'"),
+            ("tagCols: 6", "tagCols: 6"),
+            ("tagRows: 5", "tagRows: 6"),
+            ("tagSize: 0.088", "tagSize: 0.088"),
+            ("tagSpacing: 0.3", "tagSpacing: 0.3"),
+        ];
+        let without = |left_out: usize| {
+            let kept = lines.iter().enumerate().filter(|(index, _)| *index != left_out);
+            kept.map(|(_, (line, _))| format!("{line}\n")).collect::<String>()
+        };
+        for (index, (line, example)) in lines.iter().enumerate().skip(1) {
+            let key = line.split(':').next().unwrap_or_default();
+            let expected = format!("{key}: is missing; add it, as in `{example}");
+            assert!(said(&without(index)).starts_with(&expected), "{}", said(&without(index)));
+        }
+        assert!(said("target_type: checkerboard\n").starts_with("targetCols: is missing"));
         assert!(said("kind = \"charuco\"\ncols = -1\n").starts_with("line 2"));
     }
 }
