@@ -62,6 +62,13 @@ fn what_a_format_lacks_is_refused_by_name() {
         assert_eq!(refused(&skewed, format), ExportError::Skew { format, skew_px: 8.0 });
     }
 
+    // What rounding leaves of no skew, as a linear solve does, is none.
+    let rounded = with_lens(LensModel::Pinhole, &[470.0, 430.0, 290.0, 220.0, -3e-9]);
+    let exact = with_lens(LensModel::Pinhole, &[470.0, 430.0, 290.0, 220.0, 0.0]);
+    for format in lens_formats().filter(|format| *format != Format::Json) {
+        assert_eq!(text(&rounded, format), text(&exact, format));
+    }
+
     let two = with_infrared(example(), fisheye.color().unwrap());
     assert_eq!(
         text(&two, Format::Colmap).lines().filter(|line| line.contains("640 480")).count(),

@@ -30,13 +30,13 @@ pub use error::ExportError;
 pub use exported::{ExportOptions, Exported, ExportedFile};
 pub use format::Format;
 
-use crate::calibration::result::Calibration;
+use crate::calibration::result::{Calibration, SensorResult};
 use crate::document::calibration::CalibrationDocument;
 use crate::document::reading::to_json_pretty;
 use crate::export::sensors::{Sensor, depth_sensor, one_sensor, placed_sensors};
 use crate::geometry::rectification::RectifiedCamera;
 
-/// Writes `calibration` in `format`.
+/// Writes `calibration` in `format`. A skew that is rounding alone is none, but in `json`.
 ///
 /// # Errors
 /// [`ExportError`] where the format cannot hold it.
@@ -45,6 +45,10 @@ pub fn export(
     format: Format,
     options: &ExportOptions,
 ) -> Result<Exported, ExportError> {
+    let calibration = &match format {
+        Format::Json => calibration.clone(),
+        _ => without_rounding(calibration),
+    };
     let camera = calibration.camera.as_deref().unwrap_or("camera");
     let one = || one_sensor(calibration, format, options.sensor.as_deref());
     let mut files = Vec::new();
@@ -100,6 +104,21 @@ pub fn export(
     let file_name = format.file_name(&file);
     let (bytes, media_type) = (text.into_bytes(), format.media_type());
     Ok(Exported { bytes, files, media_type, file_name, note })
+}
+
+/// The same with a skew of exactly 0 where there is none.
+fn without_rounding(calibration: &Calibration) -> Calibration {
+    let mut rounded = calibration.clone();
+    for sensor in &mut rounded.sensors {
+        let matrix = match &mut sensor.result {
+            SensorResult::Image(image) => &mut image.lens.matrix,
+            SensorResult::Depth(depth) => &mut depth.camera.lens.matrix,
+        };
+        if !matrix.has_skew() {
+            matrix.skew = 0.0;
+        }
+    }
+    rounded
 }
 
 fn json(calibration: &Calibration) -> Result<String, ExportError> {

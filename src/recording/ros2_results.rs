@@ -67,7 +67,7 @@ pub fn camera_info(
     rectified: &RectifiedCamera,
     utc_ns: i64,
 ) -> Option<Vec<u8>> {
-    if lens.matrix.skew != 0.0 {
+    if lens.matrix.has_skew() {
         return None;
     }
     ros2_messages::camera_info_in(frame_id, (lens, size), rectified, utc_ns)

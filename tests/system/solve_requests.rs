@@ -262,3 +262,33 @@ fn its_uncertainty_is_given_in_numbers_and_as_an_image() {
     assert_eq!(unknown.code, Some(1));
     assert!(unknown.stderr.contains("it has color"), "{}", unknown.stderr);
 }
+
+/// The linear solve leaves of no skew what rounding leaves.
+#[test]
+fn what_the_direct_linear_transform_finds_is_exported() {
+    let folder = tempfile::tempdir().unwrap();
+    let camera_from_object =
+        Pose::from_axis_angle(Vector3::new(0.3, -0.4, 0.1), Vector3::new(-0.1, -0.1, 0.9));
+    let lens = Lens::from_parameters(LensModel::Pinhole, &CAMERA[..5]).unwrap();
+    let object: Vec<Point3<f64>> = (0..27)
+        .map(|k| Point3::new(f64::from(k % 3), f64::from(k / 3 % 3), f64::from(k / 9)) * 0.1)
+        .collect();
+    let image = object.iter().map(|point| lens.pixel_from_point(&(camera_from_object * *point)));
+    let view = json!({
+        "object": object.iter().map(|p| [p.x, p.y, p.z]).collect::<Vec<_>>(),
+        "image": image.map(|pixel| pixel.map(|p| [p.x, p.y]).unwrap()).collect::<Vec<_>>(),
+    });
+    let problem = json!({"image_size": [640, 480], "method": "dlt", "views": [view]});
+    let file = written(&folder, &problem).display().to_string();
+    let found = folder.path().join("found.json").display().to_string();
+    let solved = plumb(["solve", "--out", &found, &file]);
+    assert_eq!(solved.code, Some(0), "{}", solved.stderr);
+    let document: Value = serde_json::from_slice(&std::fs::read(&found).unwrap()).unwrap();
+    let skew = document["sensors"]["color"]["lens"]["skew"].as_f64().unwrap();
+    assert!(skew != 0.0 && skew.abs() < 1e-8, "{skew}");
+    for format in ["ros", "opencv", "kalibr", "mrcal", "colmap"] {
+        let exported = plumb(["export", "--calibration", &found, "--format", format]);
+        assert_eq!(exported.code, Some(0), "{format}: {}", exported.stderr);
+        assert!(!exported.stdout.contains(&format!("{skew}")), "{format}");
+    }
+}
