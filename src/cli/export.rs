@@ -25,7 +25,7 @@ pub struct Args {
     format: Format,
     /// Which sensor, where the calibration has several and the format holds one: color, infrared,
     /// infrared2, depth, or a rig's camera [default: color]. Of a stereo format two of them, as
-    /// left,right [default: the two cameras of a rig].
+    /// left,right [default: the two cameras of a rig]; of kalibr several, in the chain's order.
     #[arg(long, value_name = "NAME")]
     sensor: Option<String>,
     /// Of ros, ros_stereo and opencv_stereo: 0 for rectified images of which every pixel is seen, 1

@@ -96,6 +96,30 @@ pub enum ExportError {
         /// What was asked for.
         asked: String,
     },
+    /// The format's readers take the first camera as the left one.
+    #[error(
+        "the {format} format has the {} camera first, and that is `{first}`: ask for {first},{second}", if *is_vertical { "upper" } else { "left" }
+    )]
+    StereoOrder {
+        /// The format.
+        format: Format,
+        /// The left (or the upper) camera.
+        first: String,
+        /// The other one, which was asked for first.
+        second: String,
+        /// Whether one is above the other.
+        is_vertical: bool,
+    },
+    /// The format's order is the document's.
+    #[error(
+        "the {format} format holds every sensor, in the calibration's order: leave out `{asked}`"
+    )]
+    Order {
+        /// The format.
+        format: Format,
+        /// What was asked for.
+        asked: String,
+    },
     /// Rectified images have one size.
     #[error(
         "the {format} format has one size for both cameras, and these have {} and {}; export for images of one size (--width, --height), or to json", sizes[0], sizes[1]

@@ -169,6 +169,36 @@ fn a_chain_says_where_each_camera_is_from_the_one_before() {
 }
 
 #[test]
+fn sensors_are_in_the_order_asked_for_or_the_order_is_refused() {
+    let mut pair = Calibration { sensors: rig().sensors[..2].to_vec(), ..rig() };
+    pair.extrinsics[0].target_from_source =
+        Pose::from_axis_angle(Vector3::zeros(), Vector3::x() * 0.25);
+    let written = |names: &str, format| {
+        let options = ExportOptions { sensor: Some(names.into()), ..ExportOptions::default() };
+        export(&pair, format, &options)
+            .map(|exported| String::from_utf8(exported.bytes).unwrap())
+            .map_err(|error| error.to_string())
+    };
+    let reversed = written("right, left", Format::Kalibr).unwrap();
+    let (cam0, cam1) = reversed.split_once("cam1:").unwrap();
+    assert!(cam0.contains("/right/color") && cam1.contains("/left/color"), "{reversed}");
+    assert!(cam1.contains("- [1.0, 0.0, 0.0, 0.25]"), "{reversed}");
+    assert_eq!(written("left,right", Format::Kalibr).unwrap(), text(&pair, Format::Kalibr));
+    assert!(written("left,rear", Format::Kalibr).unwrap_err().contains("no sensor `rear`"));
+
+    for format in [Format::RosStereo, Format::OpencvStereo] {
+        assert_eq!(written("left,right", format).unwrap(), text(&pair, format));
+        let refused = written("right,left", format).unwrap_err();
+        assert!(refused.contains("the left camera first, and that is `left`"), "{refused}");
+        assert!(refused.contains("ask for left,right"), "{refused}");
+    }
+    for format in [Format::Json, Format::Colmap, Format::Urdf, Format::Tf] {
+        let refused = written("right,left", format).unwrap_err();
+        assert!(refused.contains("leave out `right,left`"), "{refused}");
+    }
+}
+
+#[test]
 fn colmap_counts_from_the_image_s_corner() {
     let calibration = with_lens(LensModel::Pinhole, &[530.0, 531.0, 319.5, 239.5, 0.0]);
     assert!(

@@ -28,8 +28,8 @@ pub struct ExportedFile {
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ExportOptions {
     /// The sensor, for formats that hold one, by its name in documents (`color`, `left.infrared`).
-    /// Of a stereo format two of them, as `left,right`. Default: the only one, or color's; the two
-    /// cameras of a rig.
+    /// Of a stereo format two of them, as `left,right`; of `kalibr` several, in the chain's order.
+    /// Default: the only one, or color's; the cameras of a rig.
     pub sensor: Option<String>,
     /// Of ROS's formats and the stereo ones: 0 for rectified images of which every pixel is seen, 1
     /// for those that hold all that was seen. Default: 0.

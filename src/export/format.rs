@@ -68,6 +68,11 @@ impl Format {
         Self::ALL.into_iter().find(|format| format.name() == name)
     }
 
+    /// Whether it holds every sensor of a calibration, in the calibration's order.
+    pub(super) fn holds_all(self) -> bool {
+        matches!(self, Self::Json | Self::Colmap | Self::Urdf | Self::Tf)
+    }
+
     pub(super) fn media_type(self) -> &'static str {
         match self {
             Self::Json => "application/json",

@@ -33,7 +33,7 @@ pub use format::Format;
 use crate::calibration::result::{Calibration, SensorResult};
 use crate::document::calibration::CalibrationDocument;
 use crate::document::reading::to_json_pretty;
-use crate::export::sensors::{Sensor, depth_sensor, one_sensor, placed_sensors};
+use crate::export::sensors::{Sensor, asked_sensors, depth_sensor, one_sensor, placed_sensors};
 use crate::geometry::rectification::RectifiedCamera;
 
 /// Writes `calibration` in `format`. A skew that is rounding alone is none, but in `json`.
@@ -52,6 +52,11 @@ pub fn export(
     let camera = calibration.camera.as_deref().unwrap_or("camera");
     let one = || one_sensor(calibration, format, options.sensor.as_deref());
     let mut files = Vec::new();
+    if format.holds_all()
+        && let Some(asked) = options.sensor.as_ref().filter(|names| names.contains(','))
+    {
+        return Err(ExportError::Order { format, asked: asked.clone() });
+    }
     let (text, file, note) = match format {
         Format::Json => (json(calibration)?, camera.to_owned(), None),
         Format::Ros | Format::Opencv | Format::Mrcal => {
@@ -77,7 +82,9 @@ pub fn export(
         }
         Format::Kalibr => {
             let (text, note) = match &options.sensor {
-                Some(_) => kalibr::camera_chain(camera, &[one()?.0])?,
+                Some(asked) => {
+                    kalibr::camera_chain(camera, &asked_sensors(calibration, format, asked)?)?
+                }
                 None => kalibr::camera_chain(camera, &kalibr::chain_of(calibration)?)?,
             };
             (text, camera.to_owned(), note)

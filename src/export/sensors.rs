@@ -130,6 +130,23 @@ pub(super) fn one_sensor<'a>(
     }
 }
 
+/// The sensors that are asked for by names with commas between them, in that order.
+///
+/// # Errors
+/// As [`one_sensor`]; [`ExportError::NoPlaces`] of several that are not placed.
+pub(super) fn asked_sensors<'a>(
+    calibration: &'a Calibration,
+    format: Format,
+    asked: &str,
+) -> Result<Vec<Sensor<'a>>, ExportError> {
+    let each = asked.split(',').map(|name| one_sensor(calibration, format, Some(name.trim())));
+    let sensors = each.map(|one| Ok(one?.0)).collect::<Result<Vec<_>, ExportError>>()?;
+    if sensors.len() > 1 && sensors.iter().any(|sensor| sensor.first_from_sensor.is_none()) {
+        return Err(ExportError::NoPlaces { format });
+    }
+    Ok(sensors)
+}
+
 /// The depth sensor that is asked for, or the only one.
 pub(super) fn depth_sensor<'a>(
     calibration: &'a Calibration,

@@ -97,8 +97,14 @@ fn rectified_pair<'a>(
     };
     let asked = options.sensor.as_deref().map(names).transpose()?;
     let asked = asked.as_ref().map(|names| names.each_ref().map(String::as_str));
-    let pair = StereoPair::of(calibration, asked)?;
-    let (pair, stereo) = pair.left_first(options.alpha)?;
+    let in_asked_order = StereoPair::of(calibration, asked)?;
+    let first_asked = in_asked_order.sensors[0].clone();
+    let (pair, stereo) = in_asked_order.left_first(options.alpha)?;
+    if asked.is_some() && pair.sensors[0] != first_asked {
+        let [first, second] = pair.names;
+        let is_vertical = stereo.axis.coordinate() != 0;
+        return Err(ExportError::StereoOrder { format, first, second, is_vertical });
+    }
     let [first, second] = pair.cameras.map(|camera| camera.image_size);
     if first != second {
         return Err(ExportError::StereoSizes { format, sizes: [first, second] });

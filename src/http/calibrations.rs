@@ -34,8 +34,8 @@ pub(super) struct ExportParameters {
     #[param(schema_with = schemas::format, required = false)]
     format: Option<Format>,
     /// For formats that hold one sensor: color, infrared, infrared2, depth, or a rig's camera;
-    /// color when left out. For stereo formats two of them, as `left,right`; the two cameras of a
-    /// rig when left out.
+    /// color when left out. For stereo formats two of them, as `left,right` (the two cameras of a
+    /// rig when left out), for kalibr several, in the chain's order.
     #[param(min_length = 1)]
     sensor: Option<String>,
     /// Of ros, ros_stereo and opencv_stereo: 0 (when left out) for rectified images of which every
@@ -295,6 +295,8 @@ fn exported(
         ExportError::SeveralSensors { .. }
         | ExportError::UnknownSensor { .. }
         | ExportError::StereoNames { .. }
+        | ExportError::StereoOrder { .. }
+        | ExportError::Order { .. }
         | ExportError::StereoPair(StereoPairError::Unknown { .. }) => "sensor",
         _ => "format",
     };
