@@ -87,9 +87,37 @@ fn solve(
 ) -> Result<(CameraEstimate, CameraFit), EstimationError> {
     check(problem)?;
     let solved = solve_twice(problem, options);
+    let solved = solved.map_err(|error| of_lens_or_views(error, problem, options));
     // What it ended early with is no result, and its reason not the views'.
     options.interrupt.check()?;
     solved
+}
+
+/// `error`, or, where other lenses are determined by these views, that the lens's own coefficient is
+/// not.
+fn of_lens_or_views(
+    error: EstimationError,
+    problem: &CameraProblem,
+    options: &CameraOptions,
+) -> EstimationError {
+    let (EstimationError::Undetermined { .. }, LensChoice::Model(model)) = (&error, options.lens)
+    else {
+        return error;
+    };
+    let Some(parameter) = model.facts().focal_coefficient else { return error };
+    if options.given.iter().any(|given| given.name == parameter) {
+        return error;
+    }
+    let coefficients = model.coefficient_names();
+    let is_shared = |given: &&GivenParameter| !coefficients.contains(&given.name.as_str());
+    let given = options.given.iter().filter(is_shared).cloned().collect();
+    let any = CameraOptions { lens: LensChoice::Auto, given, start: None, ..options.clone() };
+    match solve_twice(problem, &any) {
+        Ok((CameraEstimate { lens, .. }, _)) => {
+            EstimationError::OpenCoefficient { model, parameter, instead: lens.model() }
+        }
+        Err(_) => error,
+    }
 }
 
 /// Weights that are nearer to equal bring the rms down: a second solve whose rms is this many times

@@ -97,6 +97,18 @@ pub enum EstimationError {
         /// What to do.
         remedy: &'static str,
     },
+    /// A coefficient that does what the others and the focal lengths do.
+    #[error(
+        "these views do not determine {parameter} of a {model} lens: near 0 it changes images as focal lengths and other coefficients do, all the more where the lens is nearly a pinhole; calibrate with --lens {instead}, which they determine, or hold it, as with --given {parameter}=0"
+    )]
+    OpenCoefficient {
+        /// The lens model.
+        model: crate::geometry::lens::LensModel,
+        /// The coefficient.
+        parameter: &'static str,
+        /// A model that the views determine.
+        instead: crate::geometry::lens::LensModel,
+    },
     /// A measured board without one of the corners that were seen.
     #[error(
         "the measured board has no corner at ({x_m:.4}, {y_m:.4}) m: give the measurement of this board, of the same corners and the same square"

@@ -17,7 +17,11 @@ const CAMERA: [f64; 10] = [600.0, 604.0, 328.0, 236.0, 0.0, -0.2, 0.08, 0.001, -
 
 /// Ten exact views of a grid that is bowed by `bow_m` at its middle along its rows.
 fn problem(bow_m: f64) -> Value {
-    let lens = Lens::from_parameters(LensModel::Brown, &CAMERA).unwrap();
+    seen_by(&Lens::from_parameters(LensModel::Brown, &CAMERA).unwrap(), bow_m)
+}
+
+/// The same seen by a camera with another lens.
+fn seen_by(lens: &Lens, bow_m: f64) -> Value {
     let grid: Vec<Point3<f64>> = (0..54)
         .map(|k| Point3::new(f64::from(k % 9) * 0.03, f64::from(k / 9) * 0.03, 0.0))
         .collect();
@@ -290,5 +294,26 @@ fn what_the_direct_linear_transform_finds_is_exported() {
         let exported = plumb(["export", "--calibration", &found, "--format", format]);
         assert_eq!(exported.code, Some(0), "{format}: {}", exported.stderr);
         assert!(!exported.stdout.contains(&format!("{skew}")), "{format}");
+    }
+}
+
+/// Where its two spheres are one, a double sphere lens is the same to first order for every ξ.
+#[test]
+fn a_lens_model_that_the_views_leave_open_is_named_with_one_that_they_do_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let lens = Lens::from_parameters(LensModel::Pinhole, &CAMERA[..5]).unwrap();
+    let file = written(&folder, &seen_by(&lens, 0.0)).display().to_string();
+    let solve = |extra: &[&str]| plumb([&["solve", "--json"], extra, &[&file]].concat());
+    let refused = solve(&["--lens", "double_sphere"]);
+    assert_eq!(refused.code, Some(1), "{}", refused.stdout);
+    for words in ["do not determine xi", "nearly a pinhole", "--given xi=0"] {
+        assert!(refused.stderr.contains(words), "{words}: {}", refused.stderr);
+    }
+    let instead = refused.stderr.split_once("--lens ").unwrap().1.split(',').next().unwrap();
+    for extra in [&["--lens", instead][..], &["--lens", "double_sphere", "--given", "xi=0"]] {
+        let solved = solve(extra);
+        assert_eq!(solved.code, Some(0), "{extra:?}: {}", solved.stderr);
+        let solved: Value = serde_json::from_str(&solved.stdout).unwrap();
+        near(&solved, "/sensors/color/lens/fx", CAMERA[0], 0.1);
     }
 }

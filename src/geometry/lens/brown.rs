@@ -78,6 +78,7 @@ impl DistortionModel<5> for Brown {
         name: "brown",
         summary: "OpenCV's 5 coefficients, ROS plumb_bob",
         auto_order: Some(2),
+        focal_coefficient: None,
         camera_info: Some(CameraInfoModel::new("plumb_bob", 5)),
         opencv: Some(OpencvModel::plain(5)),
         // All but k3.

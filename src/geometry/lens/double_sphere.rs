@@ -52,6 +52,7 @@ impl DistortionModel<2> for DoubleSphere {
         name: "double_sphere",
         summary: "the double sphere model, for fisheyes: Kalibr's ds",
         auto_order: None,
+        focal_coefficient: Some("xi"),
         camera_info: None,
         opencv: None,
         kalibr: Some(KalibrModel { camera: "ds", distortion: "none", coefficients: 0 }),

@@ -37,6 +37,7 @@ impl DistortionModel<2> for Eucm {
         name: "eucm",
         summary: "the enhanced unified model, for fisheyes: Kalibr's eucm",
         auto_order: None,
+        focal_coefficient: None,
         camera_info: None,
         opencv: None,
         kalibr: Some(KalibrModel { camera: "eucm", distortion: "none", coefficients: 0 }),

@@ -51,6 +51,7 @@ impl DistortionModel<4> for KannalaBrandt {
         summary: "OpenCV's fisheye, ROS equidistant",
         // One coefficient less than OpenCV's five, but after them: every program knows those.
         auto_order: Some(3),
+        focal_coefficient: None,
         camera_info: Some(CameraInfoModel {
             ros: "equidistant",
             foxglove: "kannala_brandt",

@@ -17,6 +17,7 @@ impl DistortionModel<0> for Pinhole {
         name: "pinhole",
         summary: "no distortion",
         auto_order: Some(0),
+        focal_coefficient: None,
         camera_info: Some(CameraInfoModel::new("plumb_bob", 5)),
         opencv: Some(OpencvModel::plain(5)),
         kalibr: Some(KalibrModel::pinhole("none", 0)),

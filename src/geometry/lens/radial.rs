@@ -49,6 +49,7 @@ impl DistortionModel<1> for Radial {
         name: "radial",
         summary: "one coefficient",
         auto_order: Some(1),
+        focal_coefficient: None,
         camera_info: Some(CameraInfoModel::new("plumb_bob", 5)),
         opencv: Some(OpencvModel::plain(5)),
         kalibr: Some(KalibrModel::pinhole("radtan", 4)),

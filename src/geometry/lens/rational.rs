@@ -105,6 +105,7 @@ impl DistortionModel<8> for Rational {
         name: "rational",
         summary: "OpenCV's 8 coefficients, ROS rational_polynomial",
         auto_order: Some(4),
+        focal_coefficient: None,
         camera_info: Some(CameraInfoModel::new("rational_polynomial", 8)),
         opencv: Some(OpencvModel::plain(8)),
         kalibr: Some(KalibrModel::pinhole("radtan", 4)),
