@@ -64,7 +64,8 @@ fn main() {
         }
         operators(first, seeds);
     }
-    arguments.iter().filter_map(|argument| argument.rsplit_once(':')).for_each(pool);
+    let pools = arguments.iter().filter_map(|argument| argument.rsplit_once(':'));
+    pools.for_each(|(images, board)| pool(images, board));
 }
 
 fn rational() -> Lens {
@@ -104,7 +105,7 @@ fn decision(space: &CandidateSpace<'_>) {
     let from = Some(&views[7].camera_from_board);
     let what = format!("one decision after {} views, {}", views.len(), lens.model().name());
     timed(&what, || {
-        black_box(suggest_view(&known, &goal, space, (from, Some(0.5 * GOAL_PX))));
+        black_box(suggest_view(&known, &goal, space, from, Some(0.5 * GOAL_PX)));
     });
 }
 
@@ -139,7 +140,7 @@ fn shared_decision(space: &CandidateSpace<'_>) {
     };
     let known = sum();
     let images = [(&lens, size), (&lens, size)];
-    let goal = TransferGoal::new(&known, images, (0.6, GoalFigure::Worst)).unwrap();
+    let goal = TransferGoal::new(&known, images, 0.6, GoalFigure::Worst).unwrap();
     let name = lens.model().name();
     timed(&format!("summing up {} shared views, {name}", normals.len()), || {
         black_box(sum());
@@ -177,7 +178,7 @@ fn operators(first: u64, seeds: u64) {
 
 /// Images of a pool needed to reach 1.2 times the uncertainty of all, by the pool's order and
 /// by random ones.
-fn pool((images, board): (&str, &str)) {
+fn pool(images: &str, board: &str) {
     let target = match board.parse::<BoardSize>() {
         Ok(size) => Target::Chessboard(Chessboard::new(size, 0.03).unwrap()),
         Err(_) => target_from_text(&std::fs::read_to_string(board).unwrap()).unwrap(),

@@ -168,7 +168,7 @@ pub fn draw_marker_scene(random: &mut ChaCha8Rng) -> Result<MarkerScene, Box<dyn
         let [x, y] = [aside_x + step, aside_y + step];
         let moved = Matrix3::new(1.0, 0.0, x, 0.0, 1.0, y, 0.0, 0.0, 1.0);
         let ideal_from_sheet = moved * slanted * centered;
-        let corners = corners_in(&shown, (&print, &disturbed), ideal_from_sheet);
+        let corners = corners_in(&shown, &print, &disturbed, ideal_from_sheet);
         Ok(MarkerImage { pixels: render(&print, &disturbed, ideal_from_sheet, random)?, corners })
     };
     let images = [image(0.0)?, image(STEP)?];
@@ -179,7 +179,8 @@ pub fn draw_marker_scene(random: &mut ChaCha8Rng) -> Result<MarkerScene, Box<dyn
 /// Where the corners of the board are in an image, and whether each is to be seen.
 fn corners_in(
     shown: &Target,
-    (print, disturbed): (&PrintedBoard, &Disturbance),
+    print: &PrintedBoard,
+    disturbed: &Disturbance,
     ideal_from_sheet: Matrix3<f64>,
 ) -> Vec<(u32, Pixel, bool)> {
     let place = |at: Vector3<f64>| disturbed.pixel(at.x / at.z, at.y / at.z);

@@ -66,7 +66,7 @@ fn main() {
             }
             let seeds = asked.first..asked.first + asked.seeds;
             let outcomes: Vec<Outcome> =
-                seeds.map(|seed| outcome(&asked, seed, (scenery, path))).collect();
+                seeds.map(|seed| outcome(&asked, seed, scenery, path)).collect();
             print_row(&format!("{scenery:?}"), &format!("{path:?}"), &outcomes);
             all.extend(outcomes);
         }
@@ -124,7 +124,7 @@ fn lens(seed: u64) -> Lens {
     Lens::from_parameters(LensModel::Brown, &parameters).unwrap()
 }
 
-fn outcome(asked: &Asked, seed: u64, (scenery, path): (Scenery, CameraPath)) -> Outcome {
+fn outcome(asked: &Asked, seed: u64, scenery: Scenery, path: CameraPath) -> Outcome {
     let truth = lens(seed * 20 + scenery as u64 * 4 + path as u64);
     let sensor = ImageSensor::new(SIZE, truth);
     let has_mover = seed % 2 == 1;

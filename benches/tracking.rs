@@ -46,7 +46,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     for board in [charuco()?, april_grid()?] {
         for size in [[640, 480], [1280, 720], [1920, 1080]] {
-            compare(&board, &printed_walk(&board, size, (frames, fps)));
+            compare(&board, &printed_walk(&board, size, frames, fps));
         }
     }
     Ok(())
@@ -83,7 +83,8 @@ fn april_grid() -> Result<Target, Box<dyn Error>> {
 fn printed_walk(
     board: &Target,
     [width, height]: [usize; 2],
-    (frames, fps): (u64, f64),
+    frames: u64,
+    fps: f64,
 ) -> Vec<GrayImage> {
     let print = PrintedBoard::of(board);
     let middle =

@@ -56,7 +56,7 @@ pub fn run(
             what: "the threads for HTTP could not be started",
             source,
         })?;
-    let outcome = run_on(&runtime, config, (file, overrides));
+    let outcome = run_on(&runtime, config, file, overrides);
     runtime.shutdown_timeout(LAST_WAIT);
     outcome
 }
@@ -64,7 +64,8 @@ pub fn run(
 fn run_on(
     runtime: &Runtime,
     config: &Config,
-    (file, overrides): (Option<PathBuf>, Overrides),
+    file: Option<PathBuf>,
+    overrides: Overrides,
 ) -> Result<(), DaemonError> {
     // Before anything is begun, so that a signal that comes early ends it as cleanly as a late one.
     let stop = runtime.block_on(async { asked_to_stop() })?;
@@ -93,7 +94,7 @@ fn run_on(
     let scheme = if tls.is_some() { "https" } else { "http" };
     let running = watch::Sender::new(config.clone());
     #[cfg(feature = "ros2")]
-    graph::begin(runtime, &fleet, &store, (config, running.subscribe()));
+    graph::begin(runtime, &fleet, &store, config, running.subscribe());
     let reload = Reload {
         fleet: Arc::clone(&fleet),
         access: Arc::clone(&access),
@@ -107,7 +108,8 @@ fn run_on(
     runtime.spawn(prune_by_the_hour(
         Arc::clone(&store),
         Arc::clone(&fleet),
-        (config.retention, config.recording_retention),
+        config.retention,
+        config.recording_retention,
     ));
     tracing::info!(
         file = file.map(|file| file.display().to_string()),
@@ -130,7 +132,8 @@ fn run_on(
 async fn prune_by_the_hour(
     store: Arc<Store>,
     fleet: Arc<Fleet>,
-    (of_sessions, of_recordings): (Retention, RecordingRetention),
+    of_sessions: Retention,
+    of_recordings: RecordingRetention,
 ) {
     const HOUR: Duration = Duration::from_secs(3600);
     if of_sessions == Retention::default() && of_recordings == RecordingRetention::default() {

@@ -21,7 +21,7 @@ fn solve_beside_color(
     options: &CameraOptions,
 ) -> Result<SolvedRig, RigError> {
     let of = |sensor: SensorKind| {
-        camera.as_rig_sensor((sensor.name().to_owned(), sensor), |index, _| index)
+        camera.as_rig_sensor(sensor.name().to_owned(), sensor, |index, _| index)
     };
     let mut sensors = vec![of(SensorKind::Color), of(kind)];
     sensors.iter_mut().for_each(|sensor| sensor.given = None);

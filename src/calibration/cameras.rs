@@ -99,7 +99,7 @@ impl<'a> Member<'a> {
         let kinds = self.camera.image_sensors.iter().map(|(kind, _)| *kind);
         let sensor = |kind: SensorKind| {
             let name = format!("{}.{}", self.name, kind.name());
-            let mut sensor = self.camera.as_rig_sensor((name, kind), |_, seen| seen.number);
+            let mut sensor = self.camera.as_rig_sensor(name, kind, |_, seen| seen.number);
             if let (SensorKind::Infrared, Some((_, solved))) = (kind, &self.device)
                 && solved.infrared.is_some()
             {
@@ -125,7 +125,7 @@ impl<'a> Member<'a> {
         let of = |kind| whole.sensor(&self.id(kind)).and_then(CalibratedSensor::as_image);
         let Some(color) = of(SensorKind::Color) else { return };
         let infrared = of(SensorKind::Infrared).filter(|_| solved.infrared.is_some());
-        let placed = infrared.and_then(|infrared| self.placed((color, infrared), whole, input));
+        let placed = infrared.and_then(|infrared| self.placed(color, infrared, whole, input));
         let kept = solved.factory.as_ref().and_then(|check| check.kept.as_deref());
         let refitted = match (kept, &placed) {
             (None, Some((placed, _))) => {
@@ -144,7 +144,7 @@ impl<'a> Member<'a> {
         };
         let depth = DepthCalibration::of(&estimate, own.depth.invalid);
         let clean = Verdict { grade: Grade::Good, reasons: Vec::new() };
-        let verdict = judged_with_depth(clean, (own, solved), (&estimate, &depth));
+        let verdict = judged_with_depth(clean, own, solved, &estimate, &depth);
         whole.sensors.push(CalibratedSensor::depth(self.camera.name.as_deref(), depth));
         whole.extrinsics.push(known);
         whole.verdict.grade = whole.verdict.grade.min(verdict.grade);
@@ -156,7 +156,8 @@ impl<'a> Member<'a> {
     /// beside color.
     fn placed(
         &self,
-        (color, infrared): (&ImageCalibration, &ImageCalibration),
+        color: &ImageCalibration,
+        infrared: &ImageCalibration,
         whole: &Calibration,
         input: &RigInput,
     ) -> Option<(PlacedDevice, Extrinsics)> {

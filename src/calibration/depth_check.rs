@@ -89,7 +89,8 @@ impl CheckedRange {
 impl DepthCheck {
     /// Compares depth with the planes of `board`.
     pub fn of(
-        (depth, color_from_depth): (&DepthCalibration, &Extrinsics),
+        depth: &DepthCalibration,
+        color_from_depth: &Extrinsics,
         board: &Target,
         views: &[DepthView],
     ) -> Self {

@@ -70,10 +70,10 @@ impl FactoryCheck {
                 // The factory's depth against where the joint solve has the board; what the other
                 // half found against where its own lens has it.
                 let board = estimate.color_from_board[*index];
-                factory.add((view, &board), (&camera, &color_from_depth));
+                factory.add((view, &board), &camera, &color_from_depth);
                 match half.as_ref().map(|half| (half, board_under(&half.color, view))) {
                     Some((half, Some(board))) => {
-                        own.add((view, &board), (&half.depth, &half.color_from_depth));
+                        own.add((view, &board), &half.depth, &half.color_from_depth);
                     }
                     Some((_, None)) => {}
                     None => own.sum = f64::INFINITY,
@@ -86,9 +86,8 @@ impl FactoryCheck {
         };
         let open = std(0).max(std(1));
         let is_better = factory * factory > own * own + (SURE * open).powi(2);
-        let kept = (!is_better).then(|| {
-            Box::new(as_the_factory_has_it(problem, estimate, (camera, color_from_depth)))
-        });
+        let kept = (!is_better)
+            .then(|| Box::new(as_the_factory_has_it(problem, estimate, camera, color_from_depth)));
         Some(Self { factory, own, views: usable.len(), open, kept })
     }
 
@@ -121,7 +120,7 @@ struct Squares {
 }
 
 impl Squares {
-    fn add(&mut self, view: (&RgbdView, &Pose), (camera, color_from_depth): (&DepthCamera, &Pose)) {
+    fn add(&mut self, view: (&RgbdView, &Pose), camera: &DepthCamera, color_from_depth: &Pose) {
         for (tile, plane) in planes(view, &camera.lens, color_from_depth) {
             let measured = tile.inverse_depth;
             let corrected = camera
@@ -164,7 +163,8 @@ fn planes<'a>(
 fn as_the_factory_has_it(
     problem: &RgbdProblem,
     estimate: &RgbdEstimate,
-    (camera, color_from_depth): (DepthCamera, Pose),
+    camera: DepthCamera,
+    color_from_depth: Pose,
 ) -> RgbdEstimate {
     let judged = |(view, color_from_board): (&RgbdView, &Pose)| {
         let seen = (view, color_from_board);

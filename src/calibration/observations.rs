@@ -142,7 +142,8 @@ impl CameraFrameSets {
     /// its index among the views and what was observed.
     pub(super) fn as_rig_sensor(
         &self,
-        (name, sensor): (String, SensorKind),
+        name: String,
+        sensor: SensorKind,
         frame_set_of: impl Fn(usize, &ObservedFrameSet) -> usize,
     ) -> RigSensorInput {
         let seen = self.views().enumerate();

@@ -31,7 +31,7 @@ pub fn plane_error(
     (board, color_from_board): (&Target, &Pose),
     (image, invalid): (&DepthImage, Option<u16>),
 ) -> PlaneError {
-    let plane = SeenPlane::of((camera, color_from_depth), (board, color_from_board));
+    let plane = SeenPlane::of(camera, color_from_depth, board, color_from_board);
     let of = |(k, reading): (usize, &u16)| {
         let pixel = pixel_at(camera, k);
         let [point_in_depth, _] = plane.seen_at(pixel)?;
@@ -71,7 +71,7 @@ pub fn patch_errors(
     (board, color_from_board): (&Target, &Pose),
     (image, invalid): (&DepthImage, Option<u16>),
 ) -> Vec<PatchError> {
-    let plane = SeenPlane::of((camera, color_from_depth), (board, color_from_board));
+    let plane = SeenPlane::of(camera, color_from_depth, board, color_from_board);
     let mut patches: Vec<Vec<(Point3<f64>, f64)>> = vec![Vec::new(); PATCHES[0] * PATCHES[1]];
     for (k, reading) in image.readings().iter().enumerate().filter(|(_, r)| Some(**r) != invalid) {
         let pixel = pixel_at(camera, k);
@@ -111,8 +111,10 @@ struct SeenPlane<'a> {
 
 impl<'a> SeenPlane<'a> {
     fn of(
-        (camera, color_from_depth): (&'a DepthCamera, &Pose),
-        (board, color_from_board): (&Target, &Pose),
+        camera: &'a DepthCamera,
+        color_from_depth: &Pose,
+        board: &Target,
+        color_from_board: &Pose,
     ) -> Self {
         let depth_from_board = color_from_depth.inverse() * *color_from_board;
         let normal_in_depth = depth_from_board * Vector3::z();

@@ -58,8 +58,7 @@ pub fn with_depth(
         calibration.extrinsics.push(extrinsics(SensorKind::Infrared, joint));
         calibration.verdict = both(calibration.verdict, of_infrared);
     }
-    calibration.verdict =
-        judged_with_depth(calibration.verdict, (input, solved), (of_depth, &depth));
+    calibration.verdict = judged_with_depth(calibration.verdict, input, solved, of_depth, &depth);
     calibration.add_sensor(CalibratedSensor::depth(None, depth));
     calibration
 }
@@ -67,8 +66,10 @@ pub fn with_depth(
 /// `verdict` with what is to be said of depth, as `of_depth` has it.
 pub(super) fn judged_with_depth(
     mut verdict: Verdict,
-    (input, solved): (&RgbdInput, &SolvedRgbd),
-    (of_depth, depth): (&RgbdEstimate, &DepthCalibration),
+    input: &RgbdInput,
+    solved: &SolvedRgbd,
+    of_depth: &RgbdEstimate,
+    depth: &DepthCalibration,
 ) -> Verdict {
     let joint = &solved.joint;
     let views_with_depth =
@@ -233,7 +234,7 @@ impl JointViews<'_> {
             let Some(place) = place else { continue };
             let joint = &problem.views[place];
             let corners = if kind == SensorKind::Color { &joint.color } else { &joint.infrared };
-            let Some(pose) = self.pose(place, (&sensor.lens, corners), kind) else { continue };
+            let Some(pose) = self.pose(place, &sensor.lens, corners, kind) else { continue };
             let (mut of_view, mut seen) = (0.0, 0.0);
             for (corner, used) in corners.iter().zip(&estimate.used) {
                 let pixel = sensor.lens.pixel_from_point(&(pose * corner.point_in_board));
@@ -258,7 +259,8 @@ impl JointViews<'_> {
     fn pose(
         &self,
         place: usize,
-        (lens, corners): (&Lens, &[Correspondence]),
+        lens: &Lens,
+        corners: &[Correspondence],
         kind: SensorKind,
     ) -> Option<Pose> {
         let joint = &self.solved.joint;

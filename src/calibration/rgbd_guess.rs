@@ -82,7 +82,8 @@ impl Guess {
     pub(super) fn of(
         input: &RgbdInput,
         size: ImageSize,
-        (color, color_options): (&SolvedCamera, &CameraOptions),
+        color: &SolvedCamera,
+        color_options: &CameraOptions,
         infrared: Option<&SolvedCamera>,
     ) -> Self {
         let color_poses = poses(input, color, |c| &c.color);

@@ -103,7 +103,7 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
     let placed = measured_board.map(|board| placed_on(&labeled, board));
     let input = placed.as_ref().unwrap_or(&labeled);
     let infrared = with_infrared.then(|| infrared_alone(input)).transpose()?;
-    let mut guess = Guess::of(input, depth_size, (&color, options), infrared.as_ref());
+    let mut guess = Guess::of(input, depth_size, &color, options, infrared.as_ref());
     let rounds = if infrared.is_some() { 1 } else { 3 };
     let mut solved: Option<(RgbdEstimate, Measured)> = None;
     for round in 0..rounds {

@@ -44,7 +44,7 @@ impl Simulated {
     #[must_use]
     pub fn operated(self, kind: OperatorKind) -> Self {
         let WorldOptions { seed, board, sensor, .. } = &self.options;
-        let mut operator = Operator::before(*seed, kind, board, (&sensor.lens, sensor.size));
+        let mut operator = Operator::before(*seed, kind, board, &sensor.lens, sensor.size);
         let now_from_board = operator.step(0.0);
         Self { carrier: Some(Carrier { operator, now_from_board, steps: 0 }), ..self }
     }

@@ -85,7 +85,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
             Some(_) => "meters",
             None => "parts of the greatest distance between two cameras",
         };
-        write_file(path, &to_ply(&cloud(&calibration), (units, "scene")))?;
+        write_file(path, &to_ply(&cloud(&calibration), units, "scene"))?;
     }
     if let Some(folder) = &args.colmap {
         write_colmap(folder, &calibration)?;

@@ -58,7 +58,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         let given = args.estimated.lenses();
         let started = Instant::now();
         let calibration =
-            rig::calibrate(&args.rig, &args.search, target, (&options, given.as_slice()))?;
+            rig::calibrate(&args.rig, &args.search, target, &options, given.as_slice())?;
         let elapsed_ms = started.elapsed().as_secs_f64() * 1e3;
         return args.output.give(&named(calibration), Some(elapsed_ms));
     }
@@ -70,7 +70,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         args.choose.refuse("color with depth")?;
         let detect = args.search.detect_options();
         let (calibration, elapsed_ms) =
-            calibrate_rgbd::calibrate((source, &args.search.reading), target, &options, detect)?;
+            calibrate_rgbd::calibrate(source, &args.search.reading, target, &options, detect)?;
         return args.output.give(&calibration, Some(elapsed_ms));
     }
     let gathered = gather(&args.search, target)?;

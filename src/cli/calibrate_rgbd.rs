@@ -52,7 +52,8 @@ pub fn has_depth(source: &str, reading: &TopicArgs) -> bool {
 /// # Errors
 /// When it cannot be read, what its depth means is not said, or too little is seen.
 pub fn calibrate(
-    (source, reading): (&str, &TopicArgs),
+    source: &str,
+    reading: &TopicArgs,
     target: Target,
     options: &CameraOptions,
     detect: DetectOptions,

@@ -129,7 +129,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
             let mut one =
                 correct(args, (&registration, depth.invalid), (&path, &name), image_of_color)?;
             if let Some((errors, frame)) = plane_errors.as_mut().zip(color.frame.as_ref()) {
-                one.off_board = off_board(args, errors, &name, (frame, &image))?;
+                one.off_board = off_board(args, errors, &name, frame, &image)?;
             }
             Ok(one)
         });
@@ -187,7 +187,7 @@ fn correct(
         if args.cloud {
             write(
                 format!("{name}.ply"),
-                &to_ply(&registration.points(&depths, color), ("meters", "color")),
+                &to_ply(&registration.points(&depths, color), "meters", "color"),
             )?;
         }
         if args.register.as_deref() == Some("depth") {
@@ -219,7 +219,8 @@ fn off_board(
     args: &Args,
     errors: &mut PlaneErrors,
     name: &str,
-    (frame, image): (&Frame, &DepthImage),
+    frame: &Frame,
+    image: &DepthImage,
 ) -> Result<Option<BeforeAndAfter>, String> {
     let Some((off, drawn)) = errors.of(frame, image)? else { return Ok(None) };
     write(args, &format!("{name}-error.png"), &encode_png(&drawn)?)?;

@@ -125,7 +125,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let mut writer = Writer::create(args).map_err(Failure::failed)?;
     let stop = stopped_by_signal()?;
     let mut recorded = Recorded { path: args.out(), camera: args.camera(), frame_sets: 0, lost: 0 };
-    let outcome = record(source.as_mut(), &mut writer, &mut recorded, (&stop, args.seconds));
+    let outcome = record(source.as_mut(), &mut writer, &mut recorded, &stop, args.seconds);
     writer.finish().map_err(Failure::failed)?;
     outcome.map_err(|failure| {
         let line = failure.line().unwrap_or_default();
@@ -168,7 +168,8 @@ fn record(
     source: &mut dyn FrameSource,
     writer: &mut Writer,
     recorded: &mut Recorded<'_>,
-    (stop, limit): (&AtomicBool, Option<Duration>),
+    stop: &AtomicBool,
+    limit: Option<Duration>,
 ) -> Result<(), Failure> {
     let mut started: Option<Instant> = None;
     let mut next_sequence = None;

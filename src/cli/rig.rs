@@ -59,7 +59,8 @@ pub fn calibrate(
     cameras: &[NamedSource],
     search: &SearchArgs,
     target: Target,
-    (options, given): (&CameraOptions, &[GivenLens]),
+    options: &CameraOptions,
+    given: &[GivenLens],
 ) -> Result<Calibration, Failure> {
     let names: BTreeSet<&str> = cameras.iter().map(|camera| camera.name.as_str()).collect();
     if cameras.len() < 2 || names.len() < cameras.len() {

@@ -81,7 +81,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let spinner = progress::spinner("undistorting");
     for frames in FrameSets::new(args.images.iter().cloned()).reading(&args.reading) {
         let outcome = match frames {
-            Ok(frames) => undistorted((&frames, id.kind), &undistortion, &args.out, &mut taken),
+            Ok(frames) => undistorted(&frames, id.kind, &undistortion, &args.out, &mut taken),
             Err(unreadable) => Err(unreadable.reason),
         };
         match outcome {
@@ -136,7 +136,8 @@ fn report(
 
 /// Undistorts one image into `folder`; why not, in one line.
 fn undistorted(
-    (frames, sensor): (&SourcedFrames, SensorKind),
+    frames: &SourcedFrames,
+    sensor: SensorKind,
     undistortion: &Undistortion,
     folder: &Path,
     taken: &mut BTreeSet<PathBuf>,

@@ -65,7 +65,8 @@ impl Verified {
 /// Refuses images of another size than those that the calibration in `file` is for.
 pub(super) fn same_size(
     size: ImageSize,
-    (file, sensor): (&str, &ImageCalibration),
+    file: &str,
+    sensor: &ImageCalibration,
 ) -> Result<(), Failure> {
     if size == sensor.image_size {
         return Ok(());

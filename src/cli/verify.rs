@@ -62,11 +62,11 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         _ => ANY_SQUARE_M,
     };
     let Some(target) = args.target.read(square_m)? else {
-        let verified = verify_scene((&file, sensor), &args.search)?;
+        let verified = verify_scene(&file, sensor, &args.search)?;
         return print(&verified, &file, args.json);
     };
     let (problem, _) = gather(&args.search, target)?.finish()?;
-    same_size(problem.image_size, (&file, sensor))?;
+    same_size(problem.image_size, &file, sensor)?;
     let (verified, fixed) = verify(sensor, &problem)?;
     let seen = fixed.views.iter().filter(|view| view.fault.is_none());
     let poses = seen.filter_map(|view| Some((view.name.clone(), view.camera_from_board?)));
@@ -77,7 +77,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
             "frames of several recordings have the same numbers: verify the depth of one at a time";
         return Err(Failure::failed(problem));
     }
-    let depth = verify_depth((&calibration, &target), &args.search, &by_name)?;
+    let depth = verify_depth(&calibration, &target, &args.search, &by_name)?;
     let is_unseen = depth.is_none() && calibration.depth().is_some();
     let mut verified = verified.with_depth(depth);
     if is_unseen {

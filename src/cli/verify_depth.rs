@@ -151,7 +151,8 @@ fn change(check: &DepthCheck) -> String {
 /// # Errors
 /// For depth in other units than the calibration's, or images of another size.
 pub fn verify_depth(
-    (calibration, board): (&Calibration, &Target),
+    calibration: &Calibration,
+    board: &Target,
     search: &SearchArgs,
     views: &BTreeMap<String, Pose>,
 ) -> Result<Option<VerifiedDepth>, Failure> {
@@ -169,7 +170,7 @@ pub fn verify_depth(
     for source in &search.sources {
         seen.extend(boards.with_depth(source, search, &mut depth.camera)?);
     }
-    let check = DepthCheck::of((&depth, color_from_depth), board, &seen);
+    let check = DepthCheck::of(&depth, color_from_depth, board, &seen);
     Ok((!seen.is_empty()).then(|| VerifiedDepth::of(&check, views.len())))
 }
 

@@ -20,7 +20,8 @@ use crate::estimation::uncertainty::Distance;
 /// # Errors
 /// When the images cannot be read, are of another size, or do not determine a lens.
 pub(super) fn verify_scene(
-    (file, sensor): (&str, &ImageCalibration),
+    file: &str,
+    sensor: &ImageCalibration,
     args: &SearchArgs,
 ) -> Result<Verified, Failure> {
     args.check_sources()?;
@@ -28,7 +29,7 @@ pub(super) fn verify_scene(
     let frame_sets = || FrameSets::new(args.sources.iter().cloned()).reading(&args.reading);
     let images = scene_images(frame_sets, threads)?.images;
     if let Some(image) = images.first() {
-        same_size(image.size, (file, sensor))?;
+        same_size(image.size, file, sensor)?;
     }
     let lens = LensChoice::Model(sensor.lens.model());
     let options = SceneOptions { lens, threads, ..SceneOptions::default() };

@@ -134,7 +134,7 @@ impl Written {
         let mut cameras: Vec<CameraConfig> = Vec::new();
         for table in &tables.camera {
             let taken: Vec<&str> = cameras.iter().map(|camera| camera.name.as_str()).collect();
-            let name = check_name(("camera.name", &table.name), &taken, &place)?;
+            let name = check_name("camera.name", &table.name, &taken, &place)?;
             let source = table.source.get_ref().check(&table.source.span(), &place)?;
             cameras.push(CameraConfig { name, source });
         }
@@ -271,7 +271,7 @@ fn check_rigs(
     for table in tables {
         let taken: Vec<&str> =
             known.iter().copied().chain(rigs.iter().map(|rig| rig.name.as_str())).collect();
-        let name = check_name(("rig.name", &table.name), &taken, place)?;
+        let name = check_name("rig.name", &table.name, &taken, place)?;
         let members = table.cameras.get_ref();
         let refuse =
             |problem: String| Err(place.refuse(&table.cameras.span(), "rig.cameras", problem));
@@ -294,7 +294,8 @@ fn check_rigs(
 }
 
 fn check_name(
-    (key, name): (&str, &Spanned<String>),
+    key: &str,
+    name: &Spanned<String>,
     taken: &[&str],
     place: &Place,
 ) -> Result<String, ConfigError> {

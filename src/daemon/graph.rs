@@ -16,7 +16,8 @@ pub(super) fn begin(
     runtime: &Runtime,
     fleet: &Arc<Fleet>,
     store: &Arc<Store>,
-    (config, running): (&Config, watch::Receiver<Config>),
+    config: &Config,
+    running: watch::Receiver<Config>,
 ) {
     if !config.ros2.publish {
         return;

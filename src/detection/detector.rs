@@ -98,6 +98,6 @@ fn find_and_report<'b>(
     if !found.whole && !options.allow_partial {
         return Err(not_whole(probe.image, found.grid, board, found.grid.members.len()));
     }
-    let detection = report(probe, board, (&mut found, options), buffers)?;
+    let detection = report(probe, board, &mut found, options, buffers)?;
     Ok((detection, found))
 }

@@ -44,7 +44,8 @@ impl ReportBuffers {
 pub(in crate::detection) fn report(
     probe: Probe<'_>,
     board: BoardSize,
-    (found, options): (&mut FoundGrid<'_>, &DetectOptions),
+    found: &mut FoundGrid<'_>,
+    options: &DetectOptions,
     buffers: &mut ReportBuffers,
 ) -> Result<Detection, NoBoard> {
     let placement = found.placement;
@@ -64,7 +65,7 @@ pub(in crate::detection) fn report(
         stds.clear();
         stds.extend(corners.iter().map(|corner| corner.std_px));
         let median_std_px = median_of(stds).unwrap_or(0.0);
-        drop_outliers(probe, found.grid, placement, (&mut corners, median_std_px));
+        drop_outliers(probe, found.grid, placement, &mut corners, median_std_px);
     }
     let partial = corners.len() < board.corner_count();
     let least = least_part(board, &probe.thresholds.search);

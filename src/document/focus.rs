@@ -59,7 +59,7 @@ impl FocusDocument {
         let depth = lens.depth_of_field(blur_px);
         let advice = |(cols, width_px): (u32, u32)| {
             let BoardAdvice { distance_m, square_m } =
-                lens.board(cols.saturating_add(1), width_px, (FILL, blur_px));
+                lens.board(cols.saturating_add(1), width_px, FILL, blur_px);
             BoardAdviceDocument { cols, square_m, distance_m }
         };
         Self {

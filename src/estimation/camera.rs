@@ -69,10 +69,10 @@ pub fn calibrate_with_jackknife(
 ) -> Result<(CameraEstimate, ModelCheck), EstimationError> {
     let (estimate, fit) = solve(problem, options)?;
     let weighted = with_noise_floor(problem, estimate.noise_floor_px);
-    let mut estimate = with_jackknife(&weighted, options, (estimate, &fit));
+    let mut estimate = with_jackknife(&weighted, options, estimate, &fit);
     let mut check = ModelCheck::of(&fit, &estimate, options);
     if check.is_beyond_noise(&fit, &estimate) {
-        check.lens_misfit = LensMisfit::of(&weighted, options, (&estimate, &fit));
+        check.lens_misfit = LensMisfit::of(&weighted, options, &estimate, &fit);
     }
     if let Some(misfit) = &check.lens_misfit {
         estimate.lens_covariance *= misfit.widening * misfit.widening;
@@ -130,13 +130,13 @@ fn solve_twice(
     options: &CameraOptions,
 ) -> Result<(CameraEstimate, CameraFit), EstimationError> {
     let known_px = options.start.as_ref().map_or(0.0, |start| start.noise_floor_px);
-    let (first, first_fit) = solve_weighted((problem, known_px), options)?;
+    let (first, first_fit) = solve_weighted(problem, known_px, options)?;
     let Some(noise_floor_px) = noise_floor_px_of(problem, &first) else {
         return Ok((first, first_fit));
     };
     let model = LensChoice::Model(first.lens.model());
     let again = CameraOptions { lens: model, start: Some(first.to_start()), ..options.clone() };
-    match solve_weighted((problem, noise_floor_px), &again) {
+    match solve_weighted(problem, noise_floor_px, &again) {
         Ok((estimate, _)) if estimate.rms_px > ANOTHER_MINIMUM * first.rms_px => {
             Ok((first, first_fit))
         }
@@ -153,7 +153,8 @@ fn solve_twice(
 
 /// As [`solve`], with an error of `noise_floor_px` added to every corner's own.
 fn solve_weighted(
-    (problem, noise_floor_px): (&CameraProblem, f64),
+    problem: &CameraProblem,
+    noise_floor_px: f64,
     options: &CameraOptions,
 ) -> Result<(CameraEstimate, CameraFit), EstimationError> {
     let problem = &*with_noise_floor(problem, noise_floor_px);
@@ -175,7 +176,7 @@ fn solve_weighted(
         CameraEstimate {
             noise_floor_px,
             compared,
-            ..assemble(problem, &prepared, (&fit, FitCovariance::of(&fit).as_ref()), Part::WHOLE)?
+            ..assemble(problem, &prepared, &fit, FitCovariance::of(&fit).as_ref(), Part::WHOLE)?
         },
         fit,
     ))

@@ -113,7 +113,8 @@ impl Part {
 pub(crate) fn assemble(
     problem: &CameraProblem,
     prepared: &Prepared,
-    (fit, covariance): (&CameraFit, Option<&FitCovariance>),
+    fit: &CameraFit,
+    covariance: Option<&FitCovariance>,
     part: Part,
 ) -> Result<CameraEstimate, EstimationError> {
     let state = &fit.robust.minimum.state;
@@ -125,7 +126,7 @@ pub(crate) fn assemble(
     };
     let camera_from_board: Vec<Pose> = good.iter().map(pose_of).collect();
     let lens = state.lenses[part.sensor];
-    let open = |parameter, std| undetermined(prepared, &camera_from_board, &lens, (parameter, std));
+    let open = |parameter, std| undetermined(prepared, &camera_from_board, &lens, parameter, std);
     let covariance = covariance.ok_or_else(|| open(0, f64::INFINITY))?;
     let part_of_fit = FittedPart::of(fit, covariance, part);
     if let Some((axis, std)) = part_of_fit.open_focal() {
@@ -254,7 +255,7 @@ impl<'a> FittedPart<'a> {
         }
         let Minimum { state, equations, .. } = &self.fit.robust.minimum;
         let observation = &self.fit.observations[index];
-        let chained = ChainedPose::where_posed((&self.fit.layout, state), observation);
+        let chained = ChainedPose::where_posed(&self.fit.layout, state, observation);
         let unit = equations.pose_covariance(observation.frame_set, self.unit, chained)?;
         Some(unit * (self.noise_square * inflation))
     }
@@ -276,7 +277,8 @@ fn undetermined(
     prepared: &Prepared,
     camera_from_board: &[Pose],
     lens: &Lens,
-    (index, std): (usize, f64),
+    index: usize,
+    std: f64,
 ) -> EstimationError {
     let normals: Vec<Vector3<f64>> = match prepared.board_normal() {
         Some(normal) => camera_from_board.iter().map(|pose| *pose * normal).collect(),

@@ -4,6 +4,7 @@ use nalgebra::{DMatrix, DVector, Point3};
 
 use crate::estimation::effects::effects_fit::EffectsFit;
 use crate::estimation::error::EstimationError;
+use crate::estimation::joint::linearize::LinearizationPoint;
 use crate::estimation::joint::minimize::{Minimum, Stop};
 use crate::estimation::joint::{BoardObservation, FreeLens, Layout, State};
 use crate::estimation::problem::CameraOptions;
@@ -53,6 +54,11 @@ impl CameraFit {
             shutter_doubt: None,
             between_models: None,
         }
+    }
+
+    /// Its minimum.
+    pub(crate) fn minimum_point(&self) -> LinearizationPoint<'_> {
+        LinearizationPoint { layout: &self.layout, state: &self.robust.minimum.state }
     }
 
     pub(crate) fn lens(&self) -> &Lens {

@@ -18,7 +18,6 @@ use std::ops::Range;
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimation::camera_fit::CameraFit;
-use crate::estimation::joint::minimize::Minimum;
 use crate::estimation::joint::normal::ReducedView;
 use crate::estimation::joint::per_observation::assemble;
 use crate::estimation::robust_fit::ROUNDING;
@@ -182,10 +181,10 @@ fn influences(
     unit: &DMatrix<f64>,
     scale: &DVector<f64>,
 ) -> Option<Vec<Influence>> {
-    let Minimum { state, equations, .. } = &fit.robust.minimum;
+    let local = &fit.robust.minimum.equations.local;
     let of_frame_set = |observations: Vec<usize>| {
         let parts = observations.iter().map(|observation| (*observation, 0));
-        let alone = assemble(&equations.local, (&fit.layout, state), &fit.observations, (parts, 1));
+        let alone = assemble(local, fit.minimum_point(), &fit.observations, parts, 1);
         alone.reduced(0)
     };
     of_parts(unit, scale, fit.some_frame_sets().into_iter().filter_map(of_frame_set))
@@ -230,7 +229,7 @@ pub(crate) fn clustered(
     if exact || influences.len() < MIN_VIEWS || unit.is_empty() {
         return plain;
     }
-    combined(unit, noise_square, (influences, views), without).unwrap_or(plain)
+    combined(unit, noise_square, influences, views, without).unwrap_or(plain)
 }
 
 /// By how much the squares of the views' influences exceed those of corners by themselves, as a part
@@ -260,7 +259,8 @@ impl Excess {
 fn combined(
     unit: &DMatrix<f64>,
     noise_square: f64,
-    (influences, views): (&[Influence], usize),
+    influences: &[Influence],
+    views: usize,
     without: impl FnOnce() -> Option<Vec<DVector<f64>>>,
 ) -> Option<Clustered> {
     let Excess { part: excess, std } = Excess::of(unit, noise_square, influences)?;

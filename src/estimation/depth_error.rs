@@ -157,7 +157,7 @@ pub fn choose_correction(
             let form = DepthCorrection::none(quantity, terms, grid, seen_m);
             let folds = folds(views, &form);
             let tried = |smoothness: &Smoothness| {
-                let held_out = held_out((views, &folds), &form, *smoothness);
+                let held_out = held_out(views, &folds, &form, *smoothness);
                 TriedCorrection { quantity, terms, cells, smoothness: *smoothness, held_out }
             };
             smooth.iter().map(tried).collect()
@@ -231,11 +231,12 @@ fn rows(correction: &DepthCorrection, judged: &JudgedTile, columns: &mut Vec<(us
 }
 
 fn held_out(
-    (views, folds): (&[Vec<JudgedTile>], &[Fold]),
+    views: &[Vec<JudgedTile>],
+    folds: &[Fold],
     form: &DepthCorrection,
     smoothness: Smoothness,
 ) -> f64 {
-    let Some(residuals) = residuals_of((views, folds), form, smoothness) else {
+    let Some(residuals) = residuals_of(views, folds, form, smoothness) else {
         return f64::INFINITY;
     };
     let count = residuals.iter().map(Vec::len).sum::<usize>().max(1);
@@ -256,7 +257,7 @@ pub fn held_out_residuals(
         coefficients: vec![0.0; correction.coefficients.len()],
         ..correction.clone()
     };
-    residuals_of((views, &folds(views, &form)), &form, smoothness)
+    residuals_of(views, &folds(views, &form), &form, smoothness)
 }
 
 /// The normal equations of each group of views for an unfitted correction of this form.
@@ -283,7 +284,8 @@ fn folds(views: &[Vec<JudgedTile>], form: &DepthCorrection) -> Vec<Fold> {
 
 /// What the fit to the other groups leaves of each view.
 fn residuals_of(
-    (views, folds): (&[Vec<JudgedTile>], &[Fold]),
+    views: &[Vec<JudgedTile>],
+    folds: &[Fold],
     form: &DepthCorrection,
     smoothness: Smoothness,
 ) -> Option<Vec<Vec<f64>>> {

@@ -169,7 +169,7 @@ pub fn calibrate_dlt(
     let robust = RobustFit { minimum, limit: f64::INFINITY };
     let fit = CameraFit::new(layout, robust, prepared.observations.clone(), vec![None]);
     let known = FitCovariance::of(&fit);
-    let camera = assemble(problem, &prepared, (&fit, known.as_ref()), Part::WHOLE)?;
+    let camera = assemble(problem, &prepared, &fit, known.as_ref(), Part::WHOLE)?;
     Ok(DltEstimate { projection, camera })
 }
 

@@ -27,13 +27,14 @@ const MIN_SOLVES: usize = 5;
 pub(crate) fn with_jackknife(
     problem: &CameraProblem,
     options: &CameraOptions,
-    (estimate, fit): (CameraEstimate, &CameraFit),
+    estimate: CameraEstimate,
+    fit: &CameraFit,
 ) -> CameraEstimate {
     if !(estimate.variance_inflation > 1.0) || fit.layout.sensors.len() > 1 {
         return estimate;
     }
     let weight = weight_of_views(fit).unwrap_or(0.0);
-    let Some(by_solves) = jackknife(problem, options, (&estimate, fit)) else { return estimate };
+    let Some(by_solves) = jackknife(problem, options, &estimate, fit) else { return estimate };
     // What is not to do with views stays: where they hardly differ, so do the solves by chance.
     let mut lens_covariance = &estimate.lens_covariance * (1.0 - weight) + by_solves * weight;
     if let Some(between_models) = &fit.between_models {
@@ -56,7 +57,8 @@ fn weight_of_views(fit: &CameraFit) -> Option<f64> {
 fn jackknife(
     problem: &CameraProblem,
     options: &CameraOptions,
-    (estimate, fit): (&CameraEstimate, &CameraFit),
+    estimate: &CameraEstimate,
+    fit: &CameraFit,
 ) -> Option<DMatrix<f64>> {
     let good: Vec<usize> =
         (0..problem.views.len()).filter(|view| estimate.views[*view].fault.is_none()).collect();
@@ -64,7 +66,7 @@ fn jackknife(
     let without = |group: usize| {
         let kept = good.iter().enumerate().filter(|(k, _)| k % groups != group);
         let kept: Vec<usize> = kept.map(|(_, view)| *view).collect();
-        lens_of(&kept, problem, (options, estimate), fit.effects.as_ref())
+        lens_of(&kept, problem, options, estimate, fit.effects.as_ref())
     };
     let lenses: Vec<DVector<f64>> = (0..groups).filter_map(without).collect();
     if lenses.len() < MIN_SOLVES {
@@ -83,7 +85,8 @@ fn jackknife(
 fn lens_of(
     kept: &[usize],
     problem: &CameraProblem,
-    (options, estimate): (&CameraOptions, &CameraEstimate),
+    options: &CameraOptions,
+    estimate: &CameraEstimate,
     found: Option<&EffectsFit>,
 ) -> Option<DVector<f64>> {
     let views: Vec<BoardView> = kept.iter().map(|view| problem.views[*view].clone()).collect();
@@ -104,6 +107,6 @@ fn lens_of(
     }
     let fit = fit_camera(&mut prepared, estimate.lens.model(), &options).ok()?;
     let found = found.map(|found| found.of_views(kept));
-    let fit = with_effects_from(fit, found.as_ref(), (problem.image_size, &options));
+    let fit = with_effects_from(fit, found.as_ref(), problem.image_size, &options);
     Some(DVector::from_vec(fit.lens().parameters().to_vec()))
 }

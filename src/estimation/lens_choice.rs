@@ -75,8 +75,8 @@ pub(crate) fn choose_lens(
         plain.trials.iter().partition(|trial| trial.held_out_rms_px > limit_px);
     fits.retain(|fit| able.iter().any(|trial| trial.model == fit.lens().model()));
     let mut with: Vec<CameraFit> = fits.iter().map(full_of).collect();
-    start_from_each_other(&fits, &mut with, (size, options));
-    let mut common = with_common_effects(&fits, &with, (size, options));
+    start_from_each_other(&fits, &mut with, size, options);
+    let mut common = with_common_effects(&fits, &with, size, options);
     // As the plain ones: beside the board's shape coefficients may cancel that did not before.
     let is_sound: Vec<bool> = with
         .iter()

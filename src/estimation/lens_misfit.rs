@@ -39,7 +39,8 @@ impl LensMisfit {
     pub(crate) fn of(
         problem: &CameraProblem,
         options: &CameraOptions,
-        (estimate, fit): (&CameraEstimate, &CameraFit),
+        estimate: &CameraEstimate,
+        fit: &CameraFit,
     ) -> Option<Self> {
         let stated = estimate.lens.model();
         let order = stated.facts().auto_order?;
@@ -80,7 +81,7 @@ impl LensMisfit {
         let plain_px = [of_own.as_ref().map(held_out_px), Some(held_out_px(&best))];
         let full = with_effects(best.fit.clone(), problem.image_size, options);
         let held_out_rms_px = if fit.effects.is_some() || full.effects.is_some() {
-            beyond_effects((fit, &full), views, grid)?
+            beyond_effects(fit, &full, views, grid)?
         } else {
             plain_px
         };
@@ -94,7 +95,8 @@ impl LensMisfit {
 /// the motion that it finds: without them a larger lens may be better only because it takes them
 /// up. `None` where it is not worth more then.
 fn beyond_effects(
-    (own, larger): (&CameraFit, &CameraFit),
+    own: &CameraFit,
+    larger: &CameraFit,
     mut views: Vec<usize>,
     grid: PixelGrid,
 ) -> Option<[Option<f64>; 2]> {

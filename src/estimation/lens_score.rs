@@ -33,13 +33,13 @@ pub(crate) fn could_fit_better(
         return true;
     }
     let Ok((free, given)) = FreeLens::from_options(model, options) else { return false };
-    let Some(lens) = nearest_lens(fit.lens(), (&free, &given), &fit.some_points_in_camera()) else {
+    let Some(lens) = nearest_lens(fit.lens(), &free, &given, &fit.some_points_in_camera()) else {
         return true;
     };
     let layout = Layout::new(vec![free], None).ended_by(&options.interrupt);
     let costs = if fit.effects.is_some() {
         let rows = f64::from(problem.image_size.height);
-        costs_beside_effects(fit, (stated, rows), (&layout, lens))
+        costs_beside_effects(fit, stated, rows, &layout, lens)
     } else {
         let state = State { lenses: vec![lens], ..fit.robust.minimum.state.clone() };
         Minimum::start(&layout, state, &fit.observations, Loss::Squares).map(|there| {

@@ -124,7 +124,7 @@ impl<'a> Trial<'a> {
     }
 
     fn moves_projections_of(&self, other: &Lens) -> Option<f64> {
-        moves_projections((self.fit.lens(), self.covariance.as_ref()?), other, self.grid)
+        moves_projections(self.fit.lens(), self.covariance.as_ref()?, other, self.grid)
     }
 }
 
@@ -133,14 +133,15 @@ impl<'a> Trial<'a> {
 pub(crate) fn may_be_worth_more(fit: &CameraFit, smaller: &Lens, grid: PixelGrid) -> bool {
     let moved = fit
         .lens_covariance()
-        .and_then(|covariance| moves_projections((fit.lens(), &covariance), smaller, grid));
+        .and_then(|covariance| moves_projections(fit.lens(), &covariance, smaller, grid));
     moved.is_some_and(|moved| moved > MOVED)
 }
 
 /// How far the projections of a lens are from those of `other` at most, in its own standard
 /// deviations at that pixel.
 fn moves_projections(
-    (lens, covariance): (&Lens, &DMatrix<f64>),
+    lens: &Lens,
+    covariance: &DMatrix<f64>,
     other: &Lens,
     grid: PixelGrid,
 ) -> Option<f64> {
@@ -181,11 +182,11 @@ pub(crate) fn held_out_squares(
 ) -> Option<Vec<f64>> {
     let mut squares = vec![0.0; views.len()];
     let folds = folds.min(views.len());
-    let local = linearize_each((&fit.layout, &fit.robust.minimum.state), chosen, views)?;
+    let local = linearize_each(fit.minimum_point(), chosen, views)?;
     for fold in 0..folds {
         let kept: Vec<usize> =
             (0..views.len()).filter(|k| k % folds != fold).map(|k| views[k]).collect();
-        let lens = refit(fit, (chosen, &local), &kept).state.lenses[0];
+        let lens = refit(fit, chosen, &local, &kept).state.lenses[0];
         for k in (fold..views.len()).step_by(folds) {
             squares[k] = squares_under(&lens, fit, &chosen[views[k]])?;
         }
@@ -196,7 +197,8 @@ pub(crate) fn held_out_squares(
 /// The fit of some of the views, from the fit of all, from their separate equations `local`.
 pub(crate) fn refit(
     fit: &CameraFit,
-    (chosen, local): (&[BoardObservation], &[LocalEquations]),
+    chosen: &[BoardObservation],
+    local: &[LocalEquations],
     views: &[usize],
 ) -> Minimum {
     let all = &fit.robust.minimum.state;
@@ -210,7 +212,7 @@ pub(crate) fn refit(
         ..all.clone()
     };
     let parts = views.iter().enumerate().map(|(k, view)| (*view, k));
-    let equations = assemble(local, (&fit.layout, all), chosen, (parts, views.len()));
+    let equations = assemble(local, fit.minimum_point(), chosen, parts, views.len());
     let start = Minimum { state, equations, steps: 0 };
     start.descend(&fit.layout, &observations, Loss::Squares, COMPARED)
 }

@@ -18,6 +18,7 @@ use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix3xX, Point3, Vector3};
 
 use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::joint::Layout;
+use crate::estimation::joint::linearize::LinearizationPoint;
 use crate::estimation::joint::per_observation::{assemble, linearize_each};
 use crate::estimation::problem::{BoardShape, CameraOptions, Shutter};
 use crate::geometry::pixel::Pixel;
@@ -68,7 +69,8 @@ impl Misfit {
     pub(crate) fn of(
         fit: &CameraFit,
         views: &[usize],
-        (size, options): ([f64; 2], &CameraOptions),
+        size: [f64; 2],
+        options: &CameraOptions,
     ) -> Self {
         let is_flat =
             views.iter().flat_map(|view| &fit.observations[*view].points).all(|p| p.z == 0.0);
@@ -116,11 +118,11 @@ pub(crate) fn board_bow_m(fit: &CameraFit, views: &[usize]) -> Option<[f64; 2]> 
         return None;
     }
     let half_extent = half_extent(&points());
-    let (layout, state) =
-        (Layout::new(vec![only.lens.clone()], Some(half_extent)), &fit.robust.minimum.state);
-    let local = linearize_each((&layout, state), &fit.observations, views)?;
+    let layout = Layout::new(vec![only.lens.clone()], Some(half_extent));
+    let at = LinearizationPoint { layout: &layout, state: &fit.robust.minimum.state };
+    let local = linearize_each(at, &fit.observations, views)?;
     let parts = views.iter().enumerate().map(|(k, view)| (*view, k));
-    let equations = assemble(&local, (&layout, state), &fit.observations, (parts, views.len()));
+    let equations = assemble(&local, at, &fit.observations, parts, views.len());
     let step = equations.solve(0.0)?;
     let last = step.global.len() - 2;
     is_shape(step.predicted_decrease, equations.cost, fit)

@@ -80,7 +80,7 @@ impl ModelCheck {
         let size = [estimate.image_size.width, estimate.image_size.height].map(f64::from);
         let enough = views.len() >= Self::MIN_VIEWS;
         let misfit = if suspicious && enough {
-            Misfit::of(fit, &views, (size, options))
+            Misfit::of(fit, &views, size, options)
         } else {
             Misfit::default()
         };
@@ -115,7 +115,7 @@ impl ModelCheck {
         };
         let (even, odd) = (half(0), half(1));
         let local = &fit.robust.minimum.equations.local;
-        let [a, b] = [&even, &odd].map(|half| refit(fit, (&fit.observations, local), half));
+        let [a, b] = [&even, &odd].map(|half| refit(fit, &fit.observations, local, half));
         let (lens_a, lens_b) = (a.state.lenses[0], b.state.lenses[0]);
         let covariance = lens_covariance(fit, &a, estimate)? + lens_covariance(fit, &b, estimate)?;
         let grid = PixelGrid::over(estimate.image_size, 10);
@@ -167,12 +167,7 @@ fn squares_nearby(lens: &Lens, fit: &CameraFit, view: usize) -> Option<f64> {
         return None;
     }
     let part = std::iter::once((view, 0));
-    let alone = assemble(
-        &minimum.equations.local,
-        (&fit.layout, &minimum.state),
-        &fit.observations,
-        (part, 1),
-    );
+    let alone = assemble(&minimum.equations.local, fit.minimum_point(), &fit.observations, part, 1);
     let ReducedView { information, gradient } = alone.reduced(0)?;
     let (there, here) = (lens.parameters(), fit.lens().parameters());
     let moved =

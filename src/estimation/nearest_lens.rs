@@ -28,7 +28,8 @@ pub(crate) struct WeightedPoint {
 /// it does not see them all.
 pub(crate) fn nearest_lens(
     lens: &Lens,
-    (free, given): (&FreeLens, &Given),
+    free: &FreeLens,
+    given: &Given,
     points_in_camera: &[Point3<f64>],
 ) -> Option<Lens> {
     let mut near = Lens { matrix: lens.matrix, distortion: nested(lens, free.model)? };
@@ -104,7 +105,7 @@ mod tests {
         let lens = Lens::from_parameters(LensModel::Brown, &parameters).unwrap();
         let off_px = |model| {
             let (free, given) = FreeLens::from_options(model, &CameraOptions::default()).unwrap();
-            let near = nearest_lens(&lens, (&free, &given), &points()).unwrap();
+            let near = nearest_lens(&lens, &free, &given, &points()).unwrap();
             let off = |point: &Point3<f64>| {
                 let [seen, near] = [lens, near].map(|lens| lens.pixel_from_point(point).unwrap());
                 seen.distance_px(near)

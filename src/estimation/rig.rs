@@ -106,7 +106,7 @@ pub fn calibrate_rig(problem: &RigProblem) -> Result<RigEstimate, EstimationErro
     for (sensor, camera) in cameras.iter().enumerate() {
         let (prepared, own) = &alone[sensor];
         let part = Part { sensor, first_observation, noise: own_noise(own) };
-        let estimate = assemble(camera, prepared, (&fit, Some(&known)), part)?;
+        let estimate = assemble(camera, prepared, &fit, Some(&known), part)?;
         estimates.push(CameraEstimate {
             lens_covariance: &estimate.lens_covariance * by_shape,
             ..estimate

@@ -21,7 +21,8 @@ use crate::geometry::pixel::ImageSize;
 pub(crate) fn start_from_each_other(
     plain: &[CameraFit],
     with: &mut [CameraFit],
-    (size, options): (ImageSize, &CameraOptions),
+    size: ImageSize,
+    options: &CameraOptions,
 ) {
     let closest = closest_of(with);
     for fit in 0..with.len() {
@@ -32,7 +33,7 @@ pub(crate) fn start_from_each_other(
                 continue;
             }
             let from = (&plain[other], &with[other]);
-            if let Some(again) = started_from(&with[fit], from, (size, options)) {
+            if let Some(again) = started_from(&with[fit], from, size, options) {
                 with[fit] = again;
             }
         }
@@ -61,10 +62,11 @@ fn residual_variance(fit: &CameraFit) -> f64 {
 fn started_from(
     fit: &CameraFit,
     from: (&CameraFit, &CameraFit),
-    (size, options): (ImageSize, &CameraOptions),
+    size: ImageSize,
+    options: &CameraOptions,
 ) -> Option<CameraFit> {
     let start = start_at(fit, from, options)?;
-    let again = with_effects_from(start, from.1.effects.as_ref(), (size, options));
+    let again = with_effects_from(start, from.1.effects.as_ref(), size, options);
     let is_better = residual_variance(&again) < residual_variance(fit)
         && again.good_views().len() >= fit.good_views().len();
     is_better.then_some(again)
@@ -77,7 +79,7 @@ fn start_at(
     options: &CameraOptions,
 ) -> Option<CameraFit> {
     let (free, given) = FreeLens::from_options(fit.lens().model(), options).ok()?;
-    let lens = nearest_lens(with.lens(), (&free, &given), &with.some_points_in_camera())?;
+    let lens = nearest_lens(with.lens(), &free, &given, &with.some_points_in_camera())?;
     let state = State { lenses: vec![lens], ..with.robust.minimum.state.clone() };
     let observations = with_corners_of(plain, with);
     let minimum = Minimum::start(&fit.layout, state, &observations, Loss::Squares)?;
@@ -92,7 +94,8 @@ fn start_at(
 pub(crate) fn with_common_effects(
     plain: &[CameraFit],
     with: &[CameraFit],
-    (size, options): (ImageSize, &CameraOptions),
+    size: ImageSize,
+    options: &CameraOptions,
 ) -> Vec<CameraFit> {
     let closest = closest_of(with);
     let from = (&plain[closest], &with[closest]);

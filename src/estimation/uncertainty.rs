@@ -179,7 +179,7 @@ impl ProjectionSamples {
         let padded = padded(covariance);
         let mut weights: Vec<f64> =
             samples.iter().map(|sample| f64::from(u8::from(sample.is_some()))).collect();
-        let mut covariances = projection_covariances(samples, &weights, (&padded, *distance))?;
+        let mut covariances = projection_covariances(samples, &weights, &padded, *distance)?;
         for _ in 0..MAX_ROUNDS {
             let next = weights_of(&covariances);
             let settled = next
@@ -190,7 +190,7 @@ impl ProjectionSamples {
                 break;
             }
             weights = next;
-            covariances = projection_covariances(samples, &weights, (&padded, *distance))?;
+            covariances = projection_covariances(samples, &weights, &padded, *distance)?;
         }
         Some(map_of(*grid, covariances, weights))
     }
@@ -273,7 +273,8 @@ pub fn projection_uncertainty(
 fn projection_covariances(
     samples: &[Option<Sample>],
     weights: &[f64],
-    (covariance, distance): (&SMatrix<f64, MAX_PARAMETERS, MAX_PARAMETERS>, Distance),
+    covariance: &SMatrix<f64, MAX_PARAMETERS, MAX_PARAMETERS>,
+    distance: Distance,
 ) -> Option<Vec<Option<Matrix2<f64>>>> {
     let compensation = compensation(samples, weights, distance)?;
     let of_sample = |sample: &Sample| {

@@ -121,7 +121,7 @@ impl ThinLens {
     /// part `fill` of it, held where both the nearest and the farthest corner of the tilted board
     /// stay sharp to `blur_px`: in the middle (in 1/distance) of what is sharp, at most three times
     /// the nearest sharp distance.
-    pub fn board(self, squares: u32, side_px: u32, (fill, blur_px): (f64, f64)) -> BoardAdvice {
+    pub fn board(self, squares: u32, side_px: u32, fill: f64, blur_px: f64) -> BoardAdvice {
         let DepthOfField { near_m, far_m } = self.depth_of_field(blur_px);
         let far_m = far_m.min(3.0 * near_m);
         let distance_m = 2.0 / (1.0 / near_m + 1.0 / far_m);
@@ -153,7 +153,7 @@ mod tests {
 
     #[test]
     fn the_advised_board_is_sharp_and_fills_the_image() {
-        let advice = LENS.board(10, 1280, (0.5, 1.0));
+        let advice = LENS.board(10, 1280, 0.5, 1.0);
         assert!(LENS.blur_px(advice.distance_m) < 1.0);
         assert!(
             (advice.square_m * 10.0 / advice.distance_m * LENS.focal_px() - 640.0).abs() < 1e-6

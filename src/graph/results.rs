@@ -61,7 +61,7 @@ impl Results {
             let as_one_of_two = pair.iter().find(|(id, _)| *id == sensor.id);
             let rectified = as_one_of_two
                 .map_or_else(|| RectifiedCamera::framed(lens, size, alpha), |(_, pair)| *pair);
-            match camera_info(&frame, (lens, size), &rectified, calibration.created_at_ns) {
+            match camera_info(&frame, lens, size, &rectified, calibration.created_at_ns) {
                 Some(message) => {
                     let within = sensor_namespace(own, sensor.id.kind);
                     let rig = sensor.id.camera.as_ref().map(|_| format!("/{name}"));

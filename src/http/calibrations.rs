@@ -149,14 +149,15 @@ pub(super) async fn history(
 ) -> Result<(HeaderMap, Json<CalibrationsDocument>), Problem> {
     shared.fleet.camera(&camera)?;
     let path = format!("/v1/cameras/{camera}/calibrations");
-    history_of(&shared, camera, (&path, &page)).await
+    history_of(&shared, camera, &path, &page).await
 }
 
 /// What part is asked for of the calibrations of the camera or rig `name`, newest first.
 pub(super) async fn history_of(
     shared: &Shared,
     name: String,
-    (path, page): (&str, &PageParameters),
+    path: &str,
+    page: &PageParameters,
 ) -> Result<(HeaderMap, Json<CalibrationsDocument>), Problem> {
     let (limit, cursor) = (page.limit, page.cursor.clone());
     let asked = move |store: &Store| {

@@ -107,7 +107,7 @@ pub(super) async fn calibrations(
 ) -> Result<(HeaderMap, Json<CalibrationsDocument>), Problem> {
     shared.fleet.rig(&rig)?;
     let path = format!("/v1/rigs/{rig}/calibrations");
-    calibrations::history_of(&shared, rig, (&path, &page)).await
+    calibrations::history_of(&shared, rig, &path, &page).await
 }
 
 fn rig_document(status: RigStatus) -> RigDocument {

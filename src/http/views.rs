@@ -63,7 +63,7 @@ pub(super) async fn list(
             other.sensor.camera == view.sensor.camera && other.number < view.number
         };
         let place = views.iter().filter(before).count();
-        view_document((&id, target), view, place, calibration.as_ref())
+        view_document(&id, target, view, place, calibration.as_ref())
     });
     Ok((headers, Json(SessionViewsDocument { views: documents.collect() })))
 }
@@ -112,7 +112,8 @@ fn sensor_of<'a>(calibration: &'a Calibration, view: &SensorView) -> Option<&'a 
 
 /// `place` counts the views of the same sensor; `shown` is what the session searched for.
 fn view_document(
-    (session_id, shown): (&str, Option<Target>),
+    session_id: &str,
+    shown: Option<Target>,
     view: &SensorView,
     place: usize,
     calibration: Option<&Calibration>,

@@ -79,7 +79,8 @@ impl DepthConversion {
     pub(super) fn convert_row(
         &self,
         y: usize,
-        (readings, invalid): (&[u16], Option<u16>),
+        readings: &[u16],
+        invalid: Option<u16>,
         row: &mut ConversionRow,
         depths: &mut [f32],
     ) {
@@ -165,7 +166,7 @@ impl pulp::NullaryFnOnce for DepthRows<'_> {
         let width = self.conversion.width;
         let rows = self.readings.chunks_exact(width).zip(self.depths.chunks_exact_mut(width));
         for (y, (readings, depths)) in rows.enumerate() {
-            self.conversion.convert_row(y, (readings, self.invalid), &mut row, depths);
+            self.conversion.convert_row(y, readings, self.invalid, &mut row, depths);
         }
     }
 }

@@ -72,7 +72,7 @@ pub fn draw_heat_map(map: &GridValues<'_>, caption: &str) -> RgbImage {
     let mut taken: Vec<(u32, u32)> = Vec::new();
     let caption_size = label_size(caption, LETTERING);
     for (level, crossing) in levels.iter().zip(&crossings) {
-        write_on_contour(&mut image, &short(*level), crossing, (caption_size, &mut taken));
+        write_on_contour(&mut image, &short(*level), crossing, caption_size, &mut taken);
     }
     let top = height.saturating_sub(caption_size[1]);
     draw_label(&mut image, caption, (0, top), (INK, CONTOUR, LETTERING));
@@ -135,7 +135,8 @@ fn write_on_contour(
     image: &mut RgbImage,
     text: &str,
     contour: &[(u32, u32)],
-    (caption_size, taken): ([u32; 2], &mut Vec<(u32, u32)>),
+    caption_size: [u32; 2],
+    taken: &mut Vec<(u32, u32)>,
 ) {
     let [width, height] = label_size(text, LETTERING);
     let fits = |at: u32, length: u32, of: u32| at >= length / 2 && at - length / 2 + length <= of;
@@ -227,7 +228,7 @@ mod tests {
         let beside = (caption_size[0] + width / 2, 100 - height + height / 2);
         let mut taken = Vec::new();
         let mut write = |contour: &[(u32, u32)]| {
-            write_on_contour(&mut image, "0.05", contour, (caption_size, &mut taken));
+            write_on_contour(&mut image, "0.05", contour, caption_size, &mut taken);
             taken.clone()
         };
         assert!(write(&[(beside.0 - 1, beside.1)]).is_empty());

@@ -11,7 +11,7 @@ pub struct CloudPoint {
 
 /// The points as binary little-endian PLY; `units` says what lengths are in, and `frame` in which
 /// camera's frame the points are.
-pub fn to_ply(points: &[CloudPoint], (units, frame): (&str, &str)) -> Vec<u8> {
+pub fn to_ply(points: &[CloudPoint], units: &str, frame: &str) -> Vec<u8> {
     let header = format!(
         "ply\nformat binary_little_endian 1.0\ncomment {units} in the {frame} camera's frame: x right, y down, z forward\n\
          element vertex {}\nproperty float x\nproperty float y\nproperty float z\n\
@@ -37,7 +37,7 @@ mod tests {
             CloudPoint { point_m: [0.5, -1.0, 2.0], color: [1, 2, 3] },
             CloudPoint { point_m: [0.0; 3], color: [255, 0, 9] },
         ];
-        let file = to_ply(&points, ("meters", "color"));
+        let file = to_ply(&points, "meters", "color");
         let start = file.windows(11).position(|bytes| bytes == b"end_header\n").unwrap() + 11;
         assert!(String::from_utf8_lossy(&file[..start]).contains("element vertex 2\n"));
         let body = &file[start..];

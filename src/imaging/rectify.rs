@@ -10,12 +10,13 @@ use crate::imaging::remap::PixelMap;
 pub fn rectifying_maps(cameras: &[StereoCamera; 2], stereo: &StereoRectification) -> [PixelMap; 2] {
     let [first, second] = cameras;
     [(first, &stereo.cameras[0]), (second, &stereo.cameras[1])].map(|(camera, rectified)| {
-        rectifying_map((&camera.lens, camera.image_size), rectified, stereo.image_size)
+        rectifying_map(&camera.lens, camera.image_size, rectified, stereo.image_size)
     })
 }
 
 fn rectifying_map(
-    (lens, source): (&Lens, ImageSize),
+    lens: &Lens,
+    source: ImageSize,
     rectified: &RectifiedCamera,
     target: ImageSize,
 ) -> PixelMap {

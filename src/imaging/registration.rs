@@ -215,7 +215,7 @@ impl<T: HeldDepth> pulp::NullaryFnOnce for Registering<'_, T> {
             match self.depths {
                 Depths::Read { readings, invalid } => {
                     let Some(readings) = readings.get(here) else { break };
-                    conversion.convert_row(row, (readings, invalid), &mut working, &mut depths);
+                    conversion.convert_row(row, readings, invalid, &mut working, &mut depths);
                 }
                 Depths::Meters(meters) => {
                     let Some(meters) = meters.get(here) else { break };

@@ -71,7 +71,8 @@ impl AuxiliaryViews {
     pub(super) fn add(
         &mut self,
         number: u32,
-        (frame_set, camera): (u32, Option<&str>),
+        frame_set: u32,
+        camera: Option<&str>,
         observation: &SensorObservation,
     ) {
         let bytes = observation.depth.as_ref().map_or(0, |depth| 2 * depth.readings().len());

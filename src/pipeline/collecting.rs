@@ -72,7 +72,7 @@ impl SessionThread {
         let (views, members) = (self.kept_views(stored), self.instrument.member_names());
         let id = record.id.clone();
         let depth = |place: &KeptView| self.kept_depth(&id, stored, place);
-        Session::resume_with_depth(record, &members, (&views, depth), &self.admission)
+        Session::resume_with_depth(record, &members, &views, depth, &self.admission)
     }
 
     /// The stored depth image of a view; `None` where there is none, or it cannot be decoded.

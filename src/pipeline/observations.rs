@@ -40,7 +40,7 @@ pub(super) fn solve_job(
     let places = (0..).take_while(|place| session.camera(*place).is_some());
     let camera = |place: usize| {
         let stated = stated.get(place).and_then(Option::as_ref);
-        let seen = CameraSeen::of((session, board), place, auxiliary)?;
+        let seen = CameraSeen::of(session, board, place, auxiliary)?;
         let name = session.camera(place)?.summary().camera.clone();
         let given = record.request.held(&name);
         let camera = CameraFrameSets { given, ..seen.frame_sets(stated) };
@@ -73,14 +73,15 @@ fn scene_depth(
     let size = of_depth().next()?.image_size;
     let image = |key: &KeyFrame| of_depth().find(|view| view.number == key.number)?.depth.clone();
     let encoding = of_depth().find_map(|view| view.depth_encoding);
-    let sensor = depth_sensor(encoding, (size, stated), false);
+    let sensor = depth_sensor(encoding, size, stated, false);
     Some(SceneDepth { sensor, images: key_frames.iter().map(image).collect() })
 }
 
 /// What is known of a depth sensor with images of `size`, with what the device states of it.
 fn depth_sensor(
     encoding: Option<DepthEncoding>,
-    (size, stated): (ImageSize, Option<&FactorySensor>),
+    size: ImageSize,
+    stated: Option<&FactorySensor>,
     with_infrared: bool,
 ) -> DepthSensor {
     let encoding = encoding.unwrap_or(DepthEncoding::ORDINARY);
@@ -104,7 +105,8 @@ struct CameraSeen<'a> {
 
 impl<'a> CameraSeen<'a> {
     fn of(
-        (session, board): (&'a Session, Target),
+        session: &'a Session,
+        board: Target,
         place: usize,
         auxiliary: &'a AuxiliaryViews,
     ) -> Option<Self> {
@@ -171,7 +173,7 @@ impl<'a> CameraSeen<'a> {
         let infrared = of_depth.find_map(|kind| self.all(kind).next());
         let encoding = self.all(SensorKind::Depth).find_map(|view| view.depth_encoding);
         let with_infrared = infrared.is_some_and(|infrared| infrared.image_size == size);
-        depth_sensor(encoding, (size, stated), with_infrared)
+        depth_sensor(encoding, size, stated, with_infrared)
     }
 
     fn corners(&self, seen: Option<&AuxiliaryView>, view: &View) -> Vec<Correspondence> {

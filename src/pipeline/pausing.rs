@@ -59,7 +59,7 @@ impl SessionThread {
             let seen_by = self.instrument.cameras.get(place.camera);
             let encoding = seen_by.and_then(|camera| camera.depth_encoding());
             if let Some((view, observation)) = key_frame_depth(session, place, seen, encoding) {
-                self.auxiliary.add(place.number, (place.frame_set, None), &observation);
+                self.auxiliary.add(place.number, place.frame_set, None, &observation);
                 rows.push((view, observation.image));
             }
             let Some((view, frame)) =
@@ -82,7 +82,8 @@ impl SessionThread {
                 } else {
                     self.auxiliary.add(
                         place.number,
-                        (place.frame_set, camera.map(String::as_str)),
+                        place.frame_set,
+                        camera.map(String::as_str),
                         observation,
                     );
                     observation.detection.clone()

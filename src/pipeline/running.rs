@@ -216,10 +216,10 @@ fn start_instrument(
     options: &FleetOptions,
 ) -> Result<RunningInstrument, FleetError> {
     let instrument = Arc::new(instrument);
-    let stored = (Arc::clone(&shared.store), Arc::clone(&shared.health));
     let mut session = SessionThread::new(
         Arc::clone(&instrument),
-        stored,
+        Arc::clone(&shared.store),
+        Arc::clone(&shared.health),
         options.auto_approve,
         options.admission,
     );

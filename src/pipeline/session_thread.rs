@@ -52,7 +52,8 @@ pub(super) struct SessionThread {
 impl SessionThread {
     pub(super) fn new(
         instrument: Arc<Instrument>,
-        (store, health): (Arc<Store>, Arc<StoreHealth>),
+        store: Arc<Store>,
+        health: Arc<StoreHealth>,
         auto_approve: bool,
         admission: AdmissionOptions,
     ) -> Self {

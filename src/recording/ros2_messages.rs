@@ -52,13 +52,14 @@ pub(super) fn image(frame: &Frame, camera: &str, utc_ns: i64) -> Option<Ros2Mess
 /// What is stated of a sensor's lens, as `camera_info`; `None` for a model that ROS has not. How its
 /// images are rectified is not stated: P has the camera matrix.
 pub(super) fn camera_info(
-    (camera, sensor): (&str, SensorKind),
+    camera: &str,
+    sensor: SensorKind,
     lens: &Lens,
     size: ImageSize,
     utc_ns: i64,
 ) -> Option<Ros2Message> {
     let rectified = RectifiedCamera::alone(&lens.matrix);
-    let bytes = camera_info_in(&frame_id(camera, sensor), (lens, size), &rectified, utc_ns)?;
+    let bytes = camera_info_in(&frame_id(camera, sensor), lens, size, &rectified, utc_ns)?;
     let topic = format!("{}/camera_info", namespace(camera, sensor));
     Some(Ros2Message { topic, type_name: CAMERA_INFO, bytes })
 }
@@ -66,7 +67,8 @@ pub(super) fn camera_info(
 /// The same in any frame, with the camera's rectification.
 pub(super) fn camera_info_in(
     frame_id: &str,
-    (lens, size): (&Lens, ImageSize),
+    lens: &Lens,
+    size: ImageSize,
     rectified: &RectifiedCamera,
     utc_ns: i64,
 ) -> Option<Vec<u8>> {

@@ -63,14 +63,15 @@ pub fn sensor_namespace(camera: &str, sensor: SensorKind) -> String {
 /// camera with its rectification; `None` for a lens that ROS cannot hold exactly.
 pub fn camera_info(
     frame_id: &str,
-    (lens, size): (&Lens, ImageSize),
+    lens: &Lens,
+    size: ImageSize,
     rectified: &RectifiedCamera,
     utc_ns: i64,
 ) -> Option<Vec<u8>> {
     if lens.matrix.has_skew() {
         return None;
     }
-    ros2_messages::camera_info_in(frame_id, (lens, size), rectified, utc_ns)
+    ros2_messages::camera_info_in(frame_id, lens, size, rectified, utc_ns)
 }
 
 /// The same message with another stamp in its header.

@@ -82,7 +82,7 @@ impl Ros2Writer {
         lens: &Lens,
         utc_ns: i64,
     ) -> Result<(), RecordingError> {
-        match camera_info((&self.camera, sensor), lens, size, utc_ns) {
+        match camera_info(&self.camera, sensor, lens, size, utc_ns) {
             Some(message) => self.append(&message, 0, utc_ns),
             None => Ok(()),
         }

@@ -148,7 +148,8 @@ impl Operator {
         seed: u64,
         kind: OperatorKind,
         board: &Chessboard,
-        (lens, size): (&Lens, ImageSize),
+        lens: &Lens,
+        size: ImageSize,
     ) -> Self {
         let center = size.center();
         let tangent = |x: f64, y: f64, axis: usize| {

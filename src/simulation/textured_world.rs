@@ -98,7 +98,7 @@ impl TexturedWorld {
         let mut rng = stream(options.seed, Purpose::Waypoint, options.path as u64);
         let place = Standpoint::of(options.scenery);
         let cameras_from_world =
-            (0..options.images).map(|k| place.camera(options.path, (k, options.images), &mut rng));
+            (0..options.images).map(|k| place.camera(options.path, k, options.images, &mut rng));
         let cameras_from_world = cameras_from_world.collect();
         let (size, lens) = (options.sensor.size, &options.sensor.lens);
         let corners = (0..=size.height).flat_map(|row| (0..=size.width).map(move |at| (at, row)));
@@ -205,12 +205,7 @@ impl Standpoint {
     }
 
     /// The camera of the `number`-th of `count` images.
-    fn camera(
-        &self,
-        path: CameraPath,
-        (number, count): (usize, usize),
-        rng: &mut impl Rng,
-    ) -> Pose {
+    fn camera(&self, path: CameraPath, number: usize, count: usize, rng: &mut impl Rng) -> Pose {
         let part = 2.0 * number as f64 / (count.max(2) - 1) as f64 - 1.0;
         let mut jitter = |reach: f64| rng.random_range(-reach..reach);
         let Self { distance, reach } = *self;

@@ -82,7 +82,7 @@ impl Store {
                 let sql =
                     "SELECT created_at_ns, id FROM calibrations WHERE id = ?1 AND camera = ?2";
                 let place = |row: &Row<'_>| Ok((row.get(0)?, row.get(1)?));
-                let rows = self.select(("calibrations", sql), &[&id, &camera], place)?;
+                let rows = self.select("calibrations", sql, &[&id, &camera], place)?;
                 let missing =
                     || StoreError::Missing { row: format!("{} of {camera}", row_name(id)) };
                 rows.into_iter().next().ok_or_else(missing)??
@@ -95,7 +95,7 @@ impl Store {
         // One more than asked for says whether there are more; to SQLite, -1 is no limit.
         let most = limit.map_or(-1, |limit| i64::from(limit) + 1);
         let values: [&dyn ToSql; 4] = [&camera, &start.0, &start.1, &most];
-        let mut rows = self.select(("calibrations", &sql), &values, StoredCalibration::from_row)?;
+        let mut rows = self.select("calibrations", &sql, &values, StoredCalibration::from_row)?;
         let limit = limit.map_or(usize::MAX, |limit| limit as usize);
         let has_more = rows.len() > limit;
         rows.truncate(limit);
@@ -151,7 +151,7 @@ impl Store {
         sql: &str,
         values: &[&dyn ToSql],
     ) -> Result<Vec<Result<Calibration, StoreError>>, StoreError> {
-        let rows = self.select(("calibrations", sql), values, StoredCalibration::from_row)?;
+        let rows = self.select("calibrations", sql, values, StoredCalibration::from_row)?;
         Ok(rows.into_iter().map(|row| row.and_then(|row| row.to_calibration())).collect())
     }
 }

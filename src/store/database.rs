@@ -122,7 +122,8 @@ impl Store {
     /// made with is unreadable by itself.
     pub(super) fn select<T>(
         &self,
-        (table, sql): (&str, &str),
+        table: &str,
+        sql: &str,
         values: &[&dyn ToSql],
         of_row: fn(&Row<'_>) -> Result<T, rusqlite::Error>,
     ) -> Result<Vec<Result<T, StoreError>>, StoreError> {

@@ -87,7 +87,8 @@ pub(super) fn keep(
     store: &Store,
     session_id: &str,
     view: &View,
-    (media_type, bytes): (&str, &[u8]),
+    media_type: &str,
+    bytes: &[u8],
 ) -> Result<(), StoreError> {
     let sensor_view = numbered(view, view.number, SensorId::own(SensorKind::Color));
     let picture = Picture { media_type: media_type.to_owned(), bytes: bytes.to_vec() };

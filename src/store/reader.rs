@@ -122,7 +122,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path()).unwrap();
         store.begin_session(&record("s1")).unwrap();
-        keep(&store, "s1", &view(0), ("image/jpeg", b"first")).unwrap();
+        keep(&store, "s1", &view(0), "image/jpeg", b"first").unwrap();
         store.append_calibration(&calibration("c1", 1)).unwrap();
         let whole = StoreCheck { rows: 3, damage: Vec::new() };
         assert_eq!(StoreReader::open(folder.path()).unwrap().check().unwrap(), whole);
@@ -144,7 +144,7 @@ mod tests {
         let store = Store::open(folder.path()).unwrap();
         store.begin_session(&record("s1")).unwrap();
         store.begin_session(&record("s2")).unwrap();
-        keep(&store, "s1", &view(0), ("image/jpeg", b"first")).unwrap();
+        keep(&store, "s1", &view(0), "image/jpeg", b"first").unwrap();
         let sql = "UPDATE views SET picture = 'other'; UPDATE sessions SET document = replace(document, '100', '101') WHERE id = 's2'";
         // STRICT tables take no text for bytes.
         let sql = sql.replace("'other'", "x'00'");

@@ -127,7 +127,7 @@ impl Store {
 
     fn prunable(&self) -> Result<Vec<(String, i64)>, StoreError> {
         let running = [SessionState::Collecting, SessionState::Solving].map(SessionState::name);
-        let rows = self.select(("sessions", PRUNABLE), &[&running[0], &running[1]], |row| {
+        let rows = self.select("sessions", PRUNABLE, &[&running[0], &running[1]], |row| {
             Ok((row.get(0)?, row.get(1)?))
         })?;
         Ok(self.readable(rows.into_iter()))
@@ -193,7 +193,7 @@ mod tests {
             let started_at_ns = number * DAY_NS;
             let session = SessionRecord { state, started_at_ns, ..record(&id) };
             store.begin_session(&session).unwrap();
-            keep(&store, &id, &view(0), ("image/jpeg", &[3; 200_000])).unwrap();
+            keep(&store, &id, &view(0), "image/jpeg", &[3; 200_000]).unwrap();
             store.save_session(&session).unwrap();
         }
         for (id, session) in [("c1", "s1"), ("c2", "s2")] {

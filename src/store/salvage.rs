@@ -171,7 +171,7 @@ fn copy_tables(
     upgrades::make_version(&transaction, version)?;
     let (mut copied, mut lost) = (0, Vec::new());
     for table in upgrades::tables_of(&transaction)? {
-        let mut copy = TableCopy::new((old, &transaction), &table);
+        let mut copy = TableCopy::new(old, &transaction, &table);
         copy.run();
         copied += copy.copied;
         lost.extend(copy.lost());
@@ -195,7 +195,7 @@ struct TableCopy<'a> {
 }
 
 impl<'a> TableCopy<'a> {
-    fn new((old, new): (&'a Connection, &'a Connection), table: &'a str) -> Self {
+    fn new(old: &'a Connection, new: &'a Connection, table: &'a str) -> Self {
         Self { old, new, table, copied: 0, refused: 0, unread: Vec::new(), reason: None }
     }
 
@@ -336,7 +336,7 @@ mod tests {
             for at in 0..VIEWS {
                 let picture: Vec<u8> =
                     (0..noise.random_range(1..9000)).map(|_| noise.random()).collect();
-                keep(&store, &id, &view(at), ("image/jpeg", &picture)).unwrap();
+                keep(&store, &id, &view(at), "image/jpeg", &picture).unwrap();
             }
             store.append_calibration(&calibration(&format!("c{number}"), number.into())).unwrap();
         }

@@ -67,7 +67,7 @@ impl Store {
     /// [`StoreError::Failed`], [`StoreError::Unreadable`].
     pub fn session(&self, id: &str) -> Result<Option<SessionRecord>, StoreError> {
         let sql = format!("{COLUMNS} WHERE id = ?1");
-        let rows = self.select(("sessions", &sql), &[&id], StoredSession::from_row)?;
+        let rows = self.select("sessions", &sql, &[&id], StoredSession::from_row)?;
         rows.into_iter().map(|row| row.and_then(StoredSession::into_record)).next().transpose()
     }
 
@@ -96,7 +96,7 @@ impl Store {
             Some(id) => {
                 let sql = "SELECT started_at_ns, id FROM sessions WHERE id = ?1";
                 let rows =
-                    self.select(("sessions", sql), &[&id], |row| Ok((row.get(0)?, row.get(1)?)))?;
+                    self.select("sessions", sql, &[&id], |row| Ok((row.get(0)?, row.get(1)?)))?;
                 let missing = || StoreError::Missing { row: format!("session {id}") };
                 rows.into_iter().next().ok_or_else(missing)??
             }
@@ -107,7 +107,7 @@ impl Store {
         );
         // One more than asked for says whether there are more.
         let values: [&dyn ToSql; 4] = [&camera, &start.0, &start.1, &(i64::from(limit) + 1)];
-        let mut rows = self.select(("sessions", &sql), &values, StoredSession::from_row)?;
+        let mut rows = self.select("sessions", &sql, &values, StoredSession::from_row)?;
         let has_more = rows.len() > limit as usize;
         rows.truncate(limit as usize);
         let last = rows.iter().rev().find_map(|row| Some(row.as_ref().ok()?.id.clone()));
@@ -129,7 +129,7 @@ impl Store {
     }
 
     fn select_sessions(&self, sql: &str) -> Result<Vec<SessionRecord>, StoreError> {
-        let rows = self.select(("sessions", sql), &[], StoredSession::from_row)?;
+        let rows = self.select("sessions", sql, &[], StoredSession::from_row)?;
         Ok(self.readable(rows.into_iter().map(|row| row.and_then(StoredSession::into_record))))
     }
 }

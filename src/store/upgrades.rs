@@ -163,7 +163,7 @@ mod tests {
     fn older_store(folder: &Path, version: usize) -> [Vec<SensorView>; 2] {
         let store = Store::open(folder).unwrap();
         store.begin_session(&record("s1")).unwrap();
-        keep(&store, "s1", &view(0), ("image/jpeg", b"jpeg")).unwrap();
+        keep(&store, "s1", &view(0), "image/jpeg", b"jpeg").unwrap();
         let picture = Picture { media_type: "image/png".to_owned(), bytes: vec![5; 5] };
         let depth = SensorView {
             number: None,

@@ -96,7 +96,7 @@ impl Store {
             "SELECT {FACTS}, checksum FROM views WHERE session = ?1
             ORDER BY frame_set, number IS NULL, number, camera, sensor"
         );
-        let rows = self.select(("views", &sql), &[&session_id], StoredView::from_row)?;
+        let rows = self.select("views", &sql, &[&session_id], StoredView::from_row)?;
         let views = rows.into_iter().map(|row| row.and_then(|row| row.into_view(session_id)));
         Ok(self.readable(views))
     }
@@ -132,7 +132,7 @@ impl Store {
             "SELECT media_type, picture, picture_checksum, frame_set, sensor FROM views
             WHERE session = ?1 AND {place}"
         );
-        let rows = self.select(("views", &sql), values, StoredPicture::from_row)?;
+        let rows = self.select("views", &sql, values, StoredPicture::from_row)?;
         rows.into_iter().map(|row| row.and_then(StoredPicture::into_picture)).next().transpose()
     }
 }
@@ -317,8 +317,8 @@ mod tests {
         {
             let store = Store::open(folder.path()).unwrap();
             store.begin_session(&record("s1")).unwrap();
-            keep(&store, "s1", &view(0), ("image/jpeg", b"first")).unwrap();
-            keep(&store, "s1", &view(1), ("image/png", b"second")).unwrap();
+            keep(&store, "s1", &view(0), "image/jpeg", b"first").unwrap();
+            keep(&store, "s1", &view(1), "image/png", b"second").unwrap();
         }
         let store = Store::open(folder.path()).unwrap();
         assert_eq!(views(&store, "s1"), [view(0), view(1)]);
@@ -370,7 +370,7 @@ mod tests {
         let copy = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path()).unwrap();
         store.begin_session(&record("s1")).unwrap();
-        keep(&store, "s1", &view(0), ("image/jpeg", b"first")).unwrap();
+        keep(&store, "s1", &view(0), "image/jpeg", b"first").unwrap();
         // The files as a kill would leave them.
         for file in std::fs::read_dir(folder.path()).unwrap() {
             let file = file.unwrap();
@@ -386,19 +386,19 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path()).unwrap();
         assert!(matches!(
-            keep(&store, "s1", &view(0), ("image/jpeg", b"")),
+            keep(&store, "s1", &view(0), "image/jpeg", b""),
             Err(StoreError::Missing { .. })
         ));
         store.begin_session(&record("s1")).unwrap();
         let mut nan = view(0);
         nan.detection.corners[0].std_px = f64::NAN;
         assert!(matches!(
-            keep(&store, "s1", &nan, ("image/jpeg", b"")),
+            keep(&store, "s1", &nan, "image/jpeg", b""),
             Err(StoreError::Unstorable { .. })
         ));
-        keep(&store, "s1", &view(0), ("image/jpeg", b"")).unwrap();
+        keep(&store, "s1", &view(0), "image/jpeg", b"").unwrap();
         assert!(matches!(
-            keep(&store, "s1", &view(0), ("image/jpeg", b"")),
+            keep(&store, "s1", &view(0), "image/jpeg", b""),
             Err(StoreError::Failed { .. })
         ));
     }

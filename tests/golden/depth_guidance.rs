@@ -210,7 +210,7 @@ impl Shown {
         let depth = |kept: &KeptView| self.depth_frame(&self.kept[kept.number as usize]);
         let options = AdmissionOptions::default();
         let record = self.session.record().clone();
-        Session::resume_with_depth(record, &[], (&views, depth), &options).0
+        Session::resume_with_depth(record, &[], &views, depth, &options).0
     }
 
     fn depth_frame(&self, capture: &RgbdFrameSet) -> Option<DepthFrame> {

@@ -32,8 +32,8 @@ fn predicted(rig: &SeededRgbd, views: &[RgbdView]) -> (DepthInformation, PlacedD
         views.iter().flat_map(|view| &view.tiles).map(|tile| 1.0 / tile.inverse_depth).collect();
     let seen_m =
         [f64::min, f64::max].map(|of: fn(f64, f64) -> f64| z_m.iter().copied().reduce(of).unwrap());
-    let lens = (rig.depth.lens, rig.depth.size);
-    let mut depth = PlacedDepth::new(lens, rig.depth_from_color, (reading, seen_m));
+    let mut depth =
+        PlacedDepth::new(rig.depth.lens, rig.depth.size, rig.depth_from_color, reading, seen_m);
     if rig.with_infrared {
         depth = depth.with_open_lens();
     }
@@ -56,7 +56,7 @@ fn predicted(rig: &SeededRgbd, views: &[RgbdView]) -> (DepthInformation, PlacedD
             let corners = weighted(&view.infrared);
             let infrared = ViewNormal::of(&rig.depth.lens, &infrared_from_board, &corners);
             let infrared = InfraredNormal::of(&depth, &normal.middle_in_camera, &infrared);
-            known.of_view_with_infrared(&normal, (&infrared, Some(&planes))).unwrap()
+            known.of_view_with_infrared(&normal, &infrared, Some(&planes)).unwrap()
         } else {
             known.of_view(&normal, &planes).unwrap()
         };
@@ -72,7 +72,7 @@ fn weighted(corners: &[Correspondence]) -> Vec<WeightedCorner> {
 }
 
 /// Where color sees depth's pixel at a distance.
-fn transferred(rig: &SeededRgbd, found: &RgbdEstimate, (pixel, z_m): (Pixel, f64)) -> Pixel {
+fn transferred(rig: &SeededRgbd, found: &RgbdEstimate, pixel: Pixel, z_m: f64) -> Pixel {
     let measured = rig.error.measured(1.0 / z_m, pixel, rig.depth.size);
     let reading = found.depth.reading.reading(measured);
     let point = found.depth.point_from_reading(pixel, reading).unwrap();
@@ -94,16 +94,16 @@ fn compared(rig: &SeededRgbd, views: usize, seed: u64) -> [f64; 2] {
     let at = depth.pose_at();
     let covariance: Matrix6<f64> =
         known.covariance().unwrap().fixed_view::<6, 6>(at, at).into_owned();
-    let middle = (Pixel::new(160.0, 120.0), 0.6);
+    let (middle, z_m) = (Pixel::new(160.0, 120.0), 0.6);
     let color = (&rig.color.lens, known.free.as_slice(), rig.color.size);
     let sizes = (&depth, rig.depth.size);
-    let goal = DepthGoal::new(sizes, color, (&[middle.1], GoalFigure::Median)).unwrap();
+    let goal = DepthGoal::new(sizes, color, (&[z_m], GoalFigure::Median)).unwrap();
     let predicted_px = goal.figure_px(&goal.std_px(&known).unwrap());
     let inside = DepthGoal::new(sizes, color, (&[0.45, 0.6, 0.8], GoalFigure::Median)).unwrap();
     let bands = inside.figures_px(&inside.std_px(&known).unwrap());
     let truth = {
-        let in_depth = depth.lens.bearing_from_pixel(middle.0).unwrap();
-        let point = Point3::from(in_depth.into_inner() * (middle.1 / in_depth.z));
+        let in_depth = depth.lens.bearing_from_pixel(middle).unwrap();
+        let point = Point3::from(in_depth.into_inner() * (z_m / in_depth.z));
         rig.color.lens.pixel_from_point(&(rig.depth_from_color.inverse() * point)).unwrap()
     };
     let (mut errors, mut squares) = (Vec::new(), 0.0);
@@ -112,7 +112,7 @@ fn compared(rig: &SeededRgbd, views: usize, seed: u64) -> [f64; 2] {
         let found = calibrate_rgbd(&rig.problem(&poses, &mut rng)).unwrap();
         let place = found.color_from_depth.inverse();
         errors.push(depth_pose_step(&rig.depth_from_color, &place));
-        squares += transferred(rig, &found, middle).distance_px(truth).powi(2);
+        squares += transferred(rig, &found, middle, z_m).distance_px(truth).powi(2);
     }
     let inverse = covariance.try_inverse().unwrap();
     let mean_square =
@@ -153,9 +153,11 @@ fn derivatives_of_depth_s_points_are_those_of_differences() {
     let rig = rig();
     let reading = DepthReading::Metric { unit_m: rig.unit_m };
     let mut depth = PlacedDepth::new(
-        (SeededRgbd::new().depth.lens, rig.depth.size),
+        SeededRgbd::new().depth.lens,
+        rig.depth.size,
         rig.depth_from_color,
-        (reading, [0.3, 2.0]),
+        reading,
+        [0.3, 2.0],
     );
     depth.correction.coefficients = vec![0.01, -0.02];
     let depth = depth.with_open_lens();

@@ -84,7 +84,7 @@ fn auto_errs_no_more_than_it_says_and_takes_no_parameter_that_the_lens_lacks() {
 }
 
 /// Views of a board that is bowed by `height_m` and printed a tenth of a millimeter off.
-fn uneven(camera: &SeededCamera, (views, seed): (usize, u64), height_m: f64) -> CameraProblem {
+fn uneven(camera: &SeededCamera, views: usize, seed: u64, height_m: f64) -> CameraProblem {
     let mut rng = SeededCamera::rng(seed);
     let poses = camera.poses(views, &mut rng);
     let mut problem = camera.problem(&poses, &mut rng);
@@ -115,7 +115,7 @@ fn neither_an_uneven_board_nor_a_rolling_shutter_makes_auto_take_another_lens() 
     let mut cases = Vec::new();
     for camera in cameras.map(precise) {
         for (views, seed) in [(12, 0), (20, 1), (30, 2)] {
-            let problem = uneven(&camera, (views, 6300 + seed), 1e-3);
+            let problem = uneven(&camera, views, 6300 + seed, 1e-3);
             cases.push((format!("uneven, {views} views"), camera.clone(), problem));
         }
     }
@@ -220,7 +220,7 @@ fn a_choice_that_views_do_not_decide_is_in_the_covariance() {
 fn beside_a_bent_board_a_larger_model_predicts_no_worse_than_one_that_it_holds() {
     let camera = SeededCamera { noise_px: 0.05, ..SeededCamera::ordinary() };
     for seed in 0..8 {
-        let problem = uneven(&camera, (20, 6900 + seed), 4e-3);
+        let problem = uneven(&camera, 20, 6900 + seed, 4e-3);
         let estimate = calibrate_camera(&problem, &CameraOptions::default()).unwrap();
         let held_out_px = |model| {
             let trial = estimate.compared.iter().find(|trial| trial.model == model);

@@ -124,7 +124,8 @@ fn frame_sets(served: &Served, complete: bool) -> u64 {
 /// whenever its time comes to the one at a third of it.
 fn show(
     served: &Served,
-    (first, end): (usize, usize),
+    first: usize,
+    end: usize,
     full_rate: &mut [&mut FedCamera],
     third: &mut FedCamera,
 ) {
@@ -167,7 +168,7 @@ fn a_rig_does_without_the_camera_that_is_slow_stalled_or_gone() {
     [&mut left, &mut right, &mut far].into_iter().for_each(|camera| camera.hand_over(0));
 
     // A third of the rate: what comes alone goes on alone.
-    show(&served, (0, IMAGES), &mut [&mut left, &mut far], &mut right);
+    show(&served, 0, IMAGES, &mut [&mut left, &mut far], &mut right);
     let whole = frame_sets(&served, true);
     let lost: u64 = [&left, &right, &far].into_iter().map(|camera| camera.dropped(&served)).sum();
     assert!(whole + lost + 2 >= IMAGES as u64, "{whole} whole, {lost} dropped");
@@ -175,7 +176,7 @@ fn a_rig_does_without_the_camera_that_is_slow_stalled_or_gone() {
 
     // Stalled: nothing waits for it but a few frames, and those are let go one by one.
     let (before_kb, alone) = (served.resident_kb(), frame_sets(&served, false));
-    show(&served, (IMAGES, IMAGES + WHILE_STALLED), &mut [&mut left], &mut right);
+    show(&served, IMAGES, IMAGES + WHILE_STALLED, &mut [&mut left], &mut right);
     let more = frame_sets(&served, false) - alone;
     assert!(more + lost + MAY_WAIT + 4 >= (SHOWN * WHILE_STALLED) as u64, "{more} without `far`");
     // One was still waited for before.
@@ -194,7 +195,7 @@ fn a_rig_does_without_the_camera_that_is_slow_stalled_or_gone() {
     };
     until("the session says that a camera is gone", || waits(&session()));
     let seen = frames_seen(0);
-    show(&served, (0, 1), &mut [&mut left], &mut right);
+    show(&served, 0, 1, &mut [&mut left], &mut right);
     until("frames of the others", || frames_seen(0) > seen);
 
     // Every frame is searched or counted as dropped.

@@ -134,7 +134,8 @@ impl DepthInformation {
     pub fn of_view_with_infrared(
         &self,
         color: &ViewNormal,
-        (infrared, planes): (&InfraredNormal, Option<&PlaneNormal>),
+        infrared: &InfraredNormal,
+        planes: Option<&PlaneNormal>,
     ) -> Option<DepthNormal> {
         let of_corners = (&infrared.by_depth, &infrared.coupling, &infrared.by_pose);
         let by_corners = self.without_board(color, of_corners)?;

@@ -118,7 +118,7 @@ impl DepthTeaching {
             depth_from_color: Pose::identity(),
         };
         let PosedDepthLens { lens, depth_from_color } = stated.factory.unwrap_or_else(guess);
-        let guess = PlacedDepth::new((lens, size), depth_from_color, (stated.reading, [0.3, 3.0]));
+        let guess = PlacedDepth::new(lens, size, depth_from_color, stated.reading, [0.3, 3.0]);
         Self {
             target: *target,
             size,
@@ -157,7 +157,8 @@ impl DepthTeaching {
     pub fn measure(
         &mut self,
         image: &DepthImage,
-        (color, taught): (&Teaching, &TaughtView),
+        color: &Teaching,
+        taught: &TaughtView,
     ) -> Option<MeasuredView> {
         if image.size() != self.size {
             return None;
@@ -222,10 +223,12 @@ impl DepthTeaching {
     /// camera beside it.
     pub fn see(
         &mut self,
-        (seen, blur_px): (BoardView, f64),
-        (color, taught): (&Teaching, &TaughtView),
+        seen: BoardView,
+        blur_px: f64,
+        color: &Teaching,
+        taught: &TaughtView,
     ) -> Option<TaughtView> {
-        let nothing = || Teaching::new(&self.target, self.size, (color.choice(), color.figure()));
+        let nothing = || Teaching::new(&self.target, self.size, color.choice(), color.figure());
         self.infrared.get_or_insert_with(nothing).view(taught.number, seen, blur_px)
     }
 
@@ -303,8 +306,8 @@ impl DepthTeaching {
     ) -> Option<ExpectedView> {
         let now = self.now.as_ref()?;
         let of_color = board.in_color.lens_information(&now.known.free)?;
-        let held = (color.board(), board.color_from_board);
-        let surface = self.noise.expected((&self.depth, self.size), held);
+        let surface =
+            self.noise.expected(&self.depth, self.size, color.board(), board.color_from_board);
         let z_m = surface.as_ref().map(|surface| distance_m(&surface.tiles));
         let corners = (board.in_color, board.in_infrared);
         let seen = (board.color_from_board, corners);
@@ -322,7 +325,8 @@ impl DepthTeaching {
     pub(super) fn goal(
         &self,
         color: &Teaching,
-        (free, [near_m, far_m]): (&[usize], [f64; 2]),
+        free: &[usize],
+        [near_m, far_m]: [f64; 2],
     ) -> Option<DepthGoal> {
         DepthGoal::new(
             (&self.depth, self.size),
@@ -379,7 +383,7 @@ impl DepthTeaching {
             .map(|corners| InfraredNormal::of(&self.depth, &color.middle_in_camera, corners));
         match (infrared, planes) {
             (Some(infrared), planes) => {
-                known.of_view_with_infrared(color, (&infrared, planes.as_ref()))
+                known.of_view_with_infrared(color, &infrared, planes.as_ref())
             }
             (None, Some(planes)) => known.of_view(color, &planes),
             (None, None) => None,
@@ -398,7 +402,7 @@ impl DepthTeaching {
             let view = self.normal_of(&known, taught, (surface, self.in_infrared(taught)));
             view.into_iter().for_each(|view| known.add(&view));
         }
-        let goal = self.goal(color, (&known.free, self.seen_m()?))?;
+        let goal = self.goal(color, &known.free, self.seen_m()?)?;
         let std_px = goal.std_px(&known)?;
         Some(DepthNow { known, goal, std_px })
     }

@@ -103,8 +103,10 @@ impl DepthTileNoise {
     /// A few tiles that stand for those of a board there; `None` where depth would not measure it.
     pub fn expected(
         &self,
-        (depth, size): (&PlacedDepth, ImageSize),
-        (board, color_from_board): (&BoardPoints, &Pose),
+        depth: &PlacedDepth,
+        size: ImageSize,
+        board: &BoardPoints,
+        color_from_board: &Pose,
     ) -> Option<TileSample> {
         let depth_from_board = depth.depth_from_color * *color_from_board;
         let outline = board.outline(MARGIN_SQUARES);

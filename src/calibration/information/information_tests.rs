@@ -249,7 +249,7 @@ fn frontal_views_are_followed_by_a_tilted_one() {
             .with(&view_information(&lens, &free, &view.camera_from_board, &view.corners).unwrap());
     }
     let goal = ProjectionGoal::new(&lens, SIZE, GoalFigure::Median);
-    let next = suggest_view(&known, &goal, &space, (None, Some(0.05))).unwrap();
+    let next = suggest_view(&known, &goal, &space, None, Some(0.05)).unwrap();
     let held = Held::of(&space, &next.camera_from_board).unwrap();
     assert!(held.tilt.norm() > 0.35, "{held:?}");
     assert!(next.expected_uncertainty_px.unwrap() < 0.8 * next.uncertainty_px, "{next:?}");
@@ -270,7 +270,7 @@ fn following_suggestions_teaches_more_than_any_order_of_the_sequence() {
     };
     let mut followed = prior.clone();
     for _ in 0..8 {
-        let next = suggest_view(&followed, &goal, &space, (None, None)).unwrap();
+        let next = suggest_view(&followed, &goal, &space, None, None).unwrap();
         let corners: Vec<_> = (board.points.iter())
             .map(|point| WeightedCorner { point_in_board: *point, std_px: 0.1 })
             .collect();

@@ -117,7 +117,7 @@ impl Lesson for DepthLesson<'_> {
         let beyond = view.z_m.filter(|z_m| !(near_m..=far_m).contains(z_m));
         let seen_m = beyond.map(|z_m| [near_m.min(z_m), far_m.max(z_m)]);
         let goal = seen_m.and_then(|seen_m| {
-            let goal = self.depth.goal(self.color, (&known.information.free, seen_m))?;
+            let goal = self.depth.goal(self.color, &known.information.free, seen_m)?;
             Some((Rc::new(goal), seen_m))
         });
         match goal {
@@ -148,7 +148,7 @@ pub fn suggest_depth_view(
     let infrared = of_infrared.as_ref().map(|(infrared, noise)| infrared.space(noise, &[]));
     let lesson = DepthLesson { depth, known, color, space: &space, infrared: infrared.as_ref() };
     let from = color.views().last().map(|view| &view.camera_from_board);
-    let found = find_view(&lesson, &SIZE, (from, goal_px))?;
+    let found = find_view(&lesson, &SIZE, from, goal_px)?;
     let before = lesson.uncertainty_px(&lesson.known)?;
     let after = lesson.uncertainty_px(&lesson.after(&lesson.known, &found.information, 1.0))?;
     Some(NextDepthView {

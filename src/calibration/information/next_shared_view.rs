@@ -104,7 +104,7 @@ pub fn suggest_shared_view(
 ) -> Option<SharedView> {
     let lesson = PairLesson { known, goal, spaces };
     let now = lesson.uncertainty_px(&known.matrix)?;
-    let found = find_view(&lesson, &SIZE, (from, goal_px))?;
+    let found = find_view(&lesson, &SIZE, from, goal_px)?;
     let after = lesson.uncertainty_px(&(&known.matrix + &found.information))?;
     Some(SharedView {
         camera_from_board: found.view.camera_from_board,

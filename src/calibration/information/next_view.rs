@@ -90,11 +90,12 @@ pub fn suggest_view(
     known: &LensInformation,
     goal: &ProjectionGoal,
     space: &CandidateSpace<'_>,
-    (from, goal_px): (Option<&Pose>, Option<f64>),
+    from: Option<&Pose>,
+    goal_px: Option<f64>,
 ) -> Option<SuggestedView> {
     let now = goal.map(&known.covariance()?)?;
     let lesson = LensLesson { known, goal, near: goal.near(&now)?, space };
-    let found = find_view(&lesson, &SIZE, (from, goal_px))?;
+    let found = find_view(&lesson, &SIZE, from, goal_px)?;
     let after = goal.map(&known.covariance_with(&found.information)?)?;
     Some(SuggestedView {
         camera_from_board: found.view.camera_from_board,

@@ -48,7 +48,7 @@ impl PairTeaching {
         let distances =
             views.iter().map(|[a, _]| a.normal().middle_in_camera.norm()).collect::<Vec<f64>>();
         let images = cameras.map(|camera| (camera.lens(), camera.size()));
-        let goal = TransferGoal::new(&known, images, (median(distances)?, cameras[0].figure()))?;
+        let goal = TransferGoal::new(&known, images, median(distances)?, cameras[0].figure())?;
         let now_px = goal.std_px(&known.matrix)?;
         Some(Self { known, goal, now_px, shared: views.len() })
     }

@@ -31,10 +31,7 @@ fn corners() -> Vec<WeightedCorner> {
     board().corners_in_board().into_iter().map(corner).collect()
 }
 
-fn space<'a>(
-    lens: &'a Lens,
-    (board, noise): (&'a BoardPoints, &'a CornerNoise),
-) -> CandidateSpace<'a> {
+fn space<'a>(lens: &'a Lens, board: &'a BoardPoints, noise: &'a CornerNoise) -> CandidateSpace<'a> {
     CandidateSpace {
         lens,
         size: SIZE,
@@ -48,7 +45,7 @@ fn space<'a>(
 /// Poses of the board before the first camera that both see whole.
 fn shared_poses(lenses: [&Lens; 2], indices: impl Iterator<Item = usize>) -> Vec<Pose> {
     let (board, noise) = (BoardPoints::of_chessboard(&board()), CornerNoise::default());
-    let spaces = lenses.map(|lens| space(lens, (&board, &noise)));
+    let spaces = lenses.map(|lens| space(lens, &board, &noise));
     let view = |index| {
         let holding = Holding::of_sequence(index);
         let own = spaces[0].view(&holding)?;
@@ -165,7 +162,8 @@ fn one_shared_view_says_of_the_lenses_what_two_separate_ones_say() {
 fn transferred(
     [a, b]: [&Lens; 2],
     b_from_a: &Pose,
-    (pixel, distance_m): (Pixel, f64),
+    pixel: Pixel,
+    distance_m: f64,
 ) -> Option<Pixel> {
     let bearing = a.bearing_from_pixel(pixel)?.into_inner();
     b.pixel_from_point(&(*b_from_a * Point3::from(bearing * distance_m)))
@@ -182,7 +180,7 @@ fn transfers_have_the_uncertainty_of_numeric_derivatives() {
             known.matrix += view;
         }
         let goal =
-            TransferGoal::new(&known, [(&a, SIZE), (&b, SIZE)], (0.6, GoalFigure::Median)).unwrap();
+            TransferGoal::new(&known, [(&a, SIZE), (&b, SIZE)], 0.6, GoalFigure::Median).unwrap();
         let covariance = inverse(&known.matrix).unwrap();
         let grid = PixelGrid::over(SIZE, 7);
         let mut expected = Vec::new();
@@ -191,10 +189,10 @@ fn transfers_have_the_uncertainty_of_numeric_derivatives() {
                 let (lenses, b_from_a) = moved(&known, [&a, &b], step);
                 let lenses = [&lenses[0], &lenses[1]];
                 // At the edge of a lens's valid region a step may leave it.
-                let pixel = transferred(lenses, &b_from_a, (pixel, 0.6));
+                let pixel = transferred(lenses, &b_from_a, pixel, 0.6);
                 pixel.map_or(vec![f64::NAN; 2], |pixel| vec![pixel.x, pixel.y])
             };
-            let in_b = transferred([&a, &b], &known.b_from_a, (pixel, 0.6));
+            let in_b = transferred([&a, &b], &known.b_from_a, pixel, 0.6);
             if in_b.is_some_and(|pixel| SIZE.contains(pixel)) {
                 let jacobian = numeric(known.matrix.nrows(), at);
                 let of_pixel = &jacobian * &covariance * jacobian.transpose();
@@ -260,11 +258,11 @@ fn what_is_predicted_of_a_rig_is_what_its_solves_scatter_by() {
     }
     let covariance = known.place_covariance().unwrap();
     let goal =
-        TransferGoal::new(&known, [(&a, SIZE), (&b, SIZE)], (0.6, GoalFigure::Median)).unwrap();
+        TransferGoal::new(&known, [(&a, SIZE), (&b, SIZE)], 0.6, GoalFigure::Median).unwrap();
     let predicted_px = goal.figure_px(&goal.std_px(&known.matrix).unwrap());
     let (mut errors, mut transfers) = (Vec::new(), Vec::new());
-    let middle = (Pixel::new(213.0, 240.0), 0.6);
-    let truth = transferred([&a, &b], &b_from_a(), middle).unwrap();
+    let (middle, distance_m) = (Pixel::new(213.0, 240.0), 0.6);
+    let truth = transferred([&a, &b], &b_from_a(), middle, distance_m).unwrap();
     for seed in 0..SEEDS {
         let problem = rig_problem([&a, &b], &seen, 77 + 1000 * seed);
         let RigEstimate { cameras, sensor_poses } = calibrate_rig(&problem).unwrap();
@@ -273,7 +271,7 @@ fn what_is_predicted_of_a_rig_is_what_its_solves_scatter_by() {
         let translation = found.translation() - b_from_a().translation();
         errors.push(Vector6::from_iterator(rotation.iter().chain(&translation).copied()));
         let lenses = [&cameras[0].lens, &cameras[1].lens];
-        transfers.push(transferred(lenses, &found, middle).unwrap().distance_px(truth));
+        transfers.push(transferred(lenses, &found, middle, distance_m).unwrap().distance_px(truth));
     }
     let inverse = covariance.try_inverse().unwrap();
     let mean_square =
@@ -298,7 +296,7 @@ fn what_is_predicted_of_a_rig_is_what_its_solves_scatter_by() {
 fn a_suggested_shared_view_is_seen_by_both_and_teaches_what_it_says() {
     let (a, b) = (lens(), fisheye());
     let (points, noise) = (BoardPoints::of_chessboard(&board()), CornerNoise::default());
-    let spaces = [space(&a, (&points, &noise)), space(&b, (&points, &noise))];
+    let spaces = [space(&a, &points, &noise), space(&b, &points, &noise)];
     let mut known = nothing_known([&a, &b]);
     for (count, pose) in shared_poses([&a, &b], 0..60).iter().enumerate() {
         let [own, other] = normals([&a, &b], pose);
@@ -311,7 +309,7 @@ fn a_suggested_shared_view_is_seen_by_both_and_teaches_what_it_says() {
         known.matrix += view;
     }
     let goal =
-        TransferGoal::new(&known, [(&a, SIZE), (&b, SIZE)], (0.6, GoalFigure::Median)).unwrap();
+        TransferGoal::new(&known, [(&a, SIZE), (&b, SIZE)], 0.6, GoalFigure::Median).unwrap();
     let goal_px = 0.5 * goal.figure_px(&goal.std_px(&known.matrix).unwrap());
     let suggest = |known: &PairInformation| {
         suggest_shared_view(known, &goal, [&spaces[0], &spaces[1]], (None, Some(goal_px))).unwrap()

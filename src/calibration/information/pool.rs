@@ -166,7 +166,7 @@ impl SuggestedNext {
         let seen_from_board = estimate.views.iter().find_map(|view| view.camera_from_board)?;
         let base = base_rotation(&seen_from_board);
         let space = CandidateSpace { lens, size, board: &board, noise: &noise, base, avoided: &[] };
-        let view = suggest_view(&known, &goal, &space, (None, None))?;
+        let view = suggest_view(&known, &goal, &space, None, None)?;
         let message = description(&space, &view.camera_from_board)?;
         Some(Self { view, message })
     }

@@ -85,11 +85,7 @@ const CLEARLY_BETTER: f64 = 0.8;
 impl Teaching {
     /// Nothing taught yet of a camera with images of `size` before `target`, whose lens is to be of
     /// the chosen model; `figure` is what is to fall.
-    pub fn new(
-        target: &Target,
-        size: ImageSize,
-        (choice, figure): (LensChoice, GoalFigure),
-    ) -> Self {
+    pub fn new(target: &Target, size: ImageSize, choice: LensChoice, figure: GoalFigure) -> Self {
         let lens = nominal_lens(size, choice);
         let mut teaching = Self {
             size,
@@ -176,7 +172,7 @@ impl Teaching {
     /// pose explains it.
     pub fn view(&self, number: u32, seen: BoardView, blur_px: f64) -> Option<TaughtView> {
         let camera_from_board = board_poses(self.lens(), &seen).ok()?.first()?.camera_from_board;
-        self.placed((number, seen, blur_px), camera_from_board)
+        self.placed(number, seen, blur_px, camera_from_board)
     }
 
     /// How much surer projections would be with one more view: the mean over the image of the
@@ -247,7 +243,7 @@ impl Teaching {
         let noise = self.corner_noise();
         let from = self.views.last().map(|view| &view.camera_from_board);
         let avoided = self.avoided();
-        suggest_view(&self.known, &self.goal, &self.space(&noise, &avoided), (from, goal_px))
+        suggest_view(&self.known, &self.goal, &self.space(&noise, &avoided), from, goal_px)
     }
 
     /// What is shown there is not worth keeping: nothing like it is asked for until a view is kept.
@@ -292,7 +288,9 @@ impl Teaching {
 
     fn placed(
         &self,
-        (number, seen, blur_px): (u32, BoardView, f64),
+        number: u32,
+        seen: BoardView,
+        blur_px: f64,
         camera_from_board: Pose,
     ) -> Option<TaughtView> {
         let corners: Vec<WeightedCorner> = (seen.correspondences.iter())
@@ -346,7 +344,7 @@ impl Teaching {
             .zip(&estimate.views)
             .filter_map(|(view, placed)| {
                 let camera_from_board = placed.camera_from_board.unwrap_or(view.camera_from_board);
-                self.placed((view.number, view.seen, view.blur_px), camera_from_board)
+                self.placed(view.number, view.seen, view.blur_px, camera_from_board)
             })
             .collect();
         self.start = Some(estimate.to_start());

@@ -31,11 +31,12 @@ impl TransferGoal {
     pub fn new(
         information: &PairInformation,
         cameras: [(&Lens, ImageSize); 2],
-        (distance_m, figure): (f64, GoalFigure),
+        distance_m: f64,
+        figure: GoalFigure,
     ) -> Option<Self> {
         let grid = PixelGrid::over(cameras[0].1, COLUMNS);
         let lenses = cameras.map(|(lens, _)| lens);
-        let transfer = |pixel| TransferredPixel::of(information, lenses, (pixel, distance_m));
+        let transfer = |pixel| TransferredPixel::of(information, lenses, pixel, distance_m);
         let all: Vec<TransferredPixel> = grid.pixels().filter_map(transfer).collect();
         let seen: Vec<&TransferredPixel> =
             all.iter().filter(|transfer| cameras[1].1.contains(transfer.pixel)).collect();
@@ -103,7 +104,8 @@ impl TransferredPixel {
     fn of(
         information: &PairInformation,
         lenses: [&Lens; 2],
-        (pixel, distance_m): (Pixel, f64),
+        pixel: Pixel,
+        distance_m: f64,
     ) -> Option<Self> {
         let bearing = lenses[0].bearing_from_pixel(pixel)?;
         let point_in_a = Point3::from(bearing.into_inner() * distance_m);

@@ -116,7 +116,8 @@ struct ScoredView<L: Lesson> {
 pub(super) fn find_view<L: Lesson>(
     lesson: &L,
     size: &SearchSize,
-    (from, goal_px): (Option<&Pose>, Option<f64>),
+    from: Option<&Pose>,
+    goal_px: Option<f64>,
 ) -> Option<FoundView<L>> {
     let now_px = lesson.uncertainty_px(lesson.known())?.criterion;
     let score = |image: usize, holding: &Holding| -> Option<ScoredView<L>> {
@@ -156,7 +157,7 @@ pub(super) fn find_view<L: Lesson>(
         let begin = || lesson.known().clone();
         let grown = grown(lesson, &shortlist);
         let count =
-            |known: L::Known, part: f64| views_to_go(lesson, known, (&shortlist, part), goal_px);
+            |known: L::Known, part: f64| views_to_go(lesson, known, &shortlist, part, goal_px);
         let few = count(begin(), 1.0);
         [few, few.max(count(begin(), LEAST_PART)).max(count(grown, 1.0))]
     });
@@ -168,7 +169,7 @@ pub(super) fn find_view<L: Lesson>(
 fn grown<L: Lesson>(lesson: &L, shortlist: &[&L::Information]) -> L::Known {
     let (mut known, mut grown) = (lesson.known().clone(), lesson.known().clone());
     for _ in 0..L::COMING {
-        let Some((view, after)) = best_after(lesson, &known, (shortlist, 1.0)) else { break };
+        let Some((view, after)) = best_after(lesson, &known, shortlist, 1.0) else { break };
         known = lesson.kept(after, view);
         grown = lesson.kept(grown, view);
     }
@@ -179,7 +180,8 @@ fn grown<L: Lesson>(lesson: &L, shortlist: &[&L::Information]) -> L::Known {
 fn best_after<'a, L: Lesson>(
     lesson: &L,
     known: &L::Known,
-    (views, part): (&[&'a L::Information], f64),
+    views: &[&'a L::Information],
+    part: f64,
 ) -> Option<(&'a L::Information, L::Known)> {
     let after = views.iter().copied().filter_map(|view| {
         let after = lesson.after(known, view, part);
@@ -193,7 +195,8 @@ fn best_after<'a, L: Lesson>(
 fn views_to_go<L: Lesson>(
     lesson: &L,
     mut known: L::Known,
-    (shortlist, part): (&[&L::Information], f64),
+    shortlist: &[&L::Information],
+    part: f64,
     goal_px: f64,
 ) -> u32 {
     let figures = |known: &L::Known| lesson.uncertainty_px(known);
@@ -202,7 +205,7 @@ fn views_to_go<L: Lesson>(
         if figures_px.last().is_none_or(|now_px| *now_px <= goal_px) {
             return count;
         }
-        let Some((_, after)) = best_after(lesson, &known, (shortlist, part)) else {
+        let Some((_, after)) = best_after(lesson, &known, shortlist, part) else {
             return UNREACHABLE;
         };
         known = after;

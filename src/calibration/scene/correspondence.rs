@@ -127,7 +127,8 @@ const LEAST_PREVIEWED: usize = 6;
 pub(super) fn correspond(
     images: &[SceneImage],
     size: ImageSize,
-    (threads, interrupt): (usize, &Interrupt),
+    threads: usize,
+    interrupt: &Interrupt,
 ) -> ImagePairs {
     let tables: Vec<DescriptorTable> = images.iter().map(|image| image.table(usize::MAX)).collect();
     let previews: Vec<DescriptorTable> =
@@ -183,7 +184,7 @@ pub(super) fn correspond(
             second: images[second].keypoint_of(matches[*k].second),
         };
         verified.push((first, second, geometry.inliers.iter().map(of_keypoints).collect()));
-        found.add_pair((first, second), &points, &geometry);
+        found.add_pair(first, second, &points, &geometry);
     }
     let tracks = join_tracks(&verified);
     found.problem.tracks = tracks
@@ -233,7 +234,8 @@ impl ImagePairs {
 
     fn add_pair(
         &mut self,
-        (first, second): (usize, usize),
+        first: usize,
+        second: usize,
         points: &[PointPair],
         geometry: &TwoViewGeometry,
     ) {

@@ -109,7 +109,7 @@ pub fn calibrate_scene(
     check_options(options)?;
     let size = checked_size(images)?;
     let goes_on = || options.interrupt.check().map_err(|_| SceneRefusal::Interrupted);
-    let found = correspond(images, size, (options.threads, &options.interrupt));
+    let found = correspond(images, size, options.threads, &options.interrupt);
     goes_on()?;
     let start = reconstruction(&found, options).map_err(|refusal| explained(refusal, &found));
     goes_on()?;

@@ -83,7 +83,8 @@ pub struct BoardPart {
 impl BoardPart {
     /// A part without views; `summary` says what came before them.
     pub(super) fn new(
-        (target, request): (Target, &SessionRequest),
+        target: Target,
+        request: &SessionRequest,
         summary: SessionMember,
         options: &AdmissionOptions,
     ) -> Self {
@@ -269,9 +270,9 @@ impl BoardPart {
         let room = self.views.len() < self.options.view_limit as usize;
         let fits = self.image_size().is_none_or(|expected| expected == frame.image_size);
         let placement = Placement::of(detection, frame.image_size).filter(|_| room && fits)?;
-        let taught = self.taught_by((frame, detection), seen.depth.as_ref());
+        let taught = self.taught_by(frame, detection, seen.depth.as_ref());
         self.summary.rejected.take_back(rejection);
-        Some(self.add((frame, detection), placement, taught))
+        Some(self.add(frame, detection, placement, taught))
     }
 
     /// Takes back a view as it was stored. What was admitted once has a placement; one without
@@ -280,13 +281,13 @@ impl BoardPart {
         let (frame, detection) = (&view.frame, &view.detection);
         let placement = Placement::of(detection, frame.image_size)?;
         self.prepare(frame.image_size);
-        let taught = self.taught_by((frame, detection), depth);
+        let taught = self.taught_by(frame, detection, depth);
         if self.views.len() < self.options.view_limit as usize {
-            return Some(self.add((frame, detection), placement, taught));
+            return Some(self.add(frame, detection, placement, taught));
         }
         // One that was exchanged is stored too.
         let replaced = self.room_for(frame, &placement, &taught).ok().flatten()?;
-        Some(self.exchange(replaced, (frame, detection), placement, taught))
+        Some(self.exchange(replaced, frame, detection, placement, taught))
     }
 
     /// Whether the views reach the goals of `finish` but for its time.
@@ -350,7 +351,7 @@ impl BoardPart {
         if self.teaching.is_none() && size.width > 0 && size.height > 0 {
             let figure =
                 if self.goal_px.is_some() { GoalFigure::Median } else { GoalFigure::Worst };
-            let teaching = Teaching::new(&self.target, size, (self.lens, figure));
+            let teaching = Teaching::new(&self.target, size, self.lens, figure);
             self.teaching = Some(teaching);
             self.suggest();
         }
@@ -375,8 +376,8 @@ impl BoardPart {
         let depth = self.depth.seen(&self.target, self.teaching.as_ref(), depth);
         let taught = (taught, depth);
         Ok(match self.room_for(frame, &placement, &taught)? {
-            None => self.add((frame, detection), placement, taught),
-            Some(replaced) => self.exchange(replaced, (frame, detection), placement, taught),
+            None => self.add(frame, detection, placement, taught),
+            Some(replaced) => self.exchange(replaced, frame, detection, placement, taught),
         })
     }
 
@@ -384,7 +385,8 @@ impl BoardPart {
     fn exchange(
         &mut self,
         number: u32,
-        (frame, detection): (&FrameFacts, &Detection),
+        frame: &FrameFacts,
+        detection: &Detection,
         placement: Placement,
         (taught, depth): Taught,
     ) -> u32 {
@@ -440,7 +442,8 @@ impl BoardPart {
 
     fn add(
         &mut self,
-        (frame, detection): (&FrameFacts, &Detection),
+        frame: &FrameFacts,
+        detection: &Detection,
         placement: Placement,
         (taught, depth): Taught,
     ) -> u32 {

@@ -46,7 +46,7 @@ impl CameraPart {
     ) -> Self {
         match request.target {
             CalibrationTarget::Board(target) => {
-                Self::Board(Box::new(BoardPart::new((target, request), summary, options)))
+                Self::Board(Box::new(BoardPart::new(target, request, summary, options)))
             }
             CalibrationTarget::Scene => Self::Scene(Box::new(ScenePart::new(summary, options))),
         }

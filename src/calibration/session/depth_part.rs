@@ -66,7 +66,7 @@ impl DepthPart {
             let stated = DeviceDepth { size, reading, invalid, factory: frame.factory };
             DepthTeaching::new(target, color, &stated)
         });
-        let surface = teaching.measure(&frame.image, (color, taught));
+        let surface = teaching.measure(&frame.image, color, taught);
         // Corners that may be counted from either end of the board say nothing of where it is.
         let is_placed = |seen: &&Detection| seen.position_known && !seen.orientation_ambiguous;
         let infrared = frame.infrared.as_ref().filter(is_placed).and_then(|seen| {
@@ -74,7 +74,7 @@ impl DepthPart {
             let facts = FrameFacts { image_size: size, ..facts.clone() };
             let view = View { number: taught.number, frame: facts, detection: seen.clone() };
             let target = target_as_seen(target, [&view]);
-            teaching.see((view.to_board_view(&target), seen.blur_px), (color, taught))
+            teaching.see(view.to_board_view(&target), seen.blur_px, color, taught)
         });
         BoardInDepth { surface, infrared }
     }

@@ -320,8 +320,8 @@ impl Session {
         let is_new: Vec<bool> = (0..admissions.len())
             .map(|camera| {
                 matches!(admissions[camera], Some(Ok(_)))
-                    || self.sharing().is_new((frame_set, &usable), camera, together)
-                    || self.pairs.are_taught(self.sharing(), (frame_set, &usable), camera, together)
+                    || self.sharing().is_new(frame_set, &usable, camera, together)
+                    || self.pairs.are_taught(self.sharing(), frame_set, &usable, camera, together)
             })
             .collect();
         for first in (0..is_new.len()).filter(|camera| is_new[*camera]) {

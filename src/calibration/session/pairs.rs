@@ -92,7 +92,8 @@ impl Pairs {
     pub(super) fn are_taught(
         &self,
         sharing: Sharing<'_>,
-        (frame_set, usable): (&[Option<CameraFrame>], &[bool]),
+        frame_set: &[Option<CameraFrame>],
+        usable: &[bool],
         first: usize,
         together: impl Fn(usize, usize) -> bool,
     ) -> bool {

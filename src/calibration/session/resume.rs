@@ -16,14 +16,15 @@ impl Session {
         views: &[(KeptView, View)],
         options: &AdmissionOptions,
     ) -> (Self, Vec<Action>) {
-        Self::resume_with_depth(record, cameras, (views, |_| None), options)
+        Self::resume_with_depth(record, cameras, views, |_| None, options)
     }
 
     /// As [`Session::resume`], with the depth image of each view that has one.
     pub fn resume_with_depth(
         record: SessionRecord,
         cameras: &[String],
-        (views, depth): (&[(KeptView, View)], impl Fn(&KeptView) -> Option<DepthFrame>),
+        views: &[(KeptView, View)],
+        depth: impl Fn(&KeptView) -> Option<DepthFrame>,
         options: &AdmissionOptions,
     ) -> (Self, Vec<Action>) {
         let mut session = Self::begin(record, cameras, options);

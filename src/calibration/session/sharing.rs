@@ -49,7 +49,8 @@ impl<'a> Sharing<'a> {
     /// cameras are not synchronized; held still it is new to no camera.
     pub(super) fn is_new(
         self,
-        (frame_set, usable): (&[Option<CameraFrame>], &[bool]),
+        frame_set: &[Option<CameraFrame>],
+        usable: &[bool],
         camera: usize,
         together: impl Fn(usize, usize) -> bool,
     ) -> bool {

@@ -74,7 +74,7 @@ impl Ros2Camera {
             images.iter().map(|image| subscribe(image, DEPTH)).collect();
         let read = Subscriptions { images: images_read?, infos, transforms };
         let source =
-            Ros2Source::new((self.options.clone(), images), read, messages, &self.next_sequence);
+            Ros2Source::new(self.options.clone(), images, read, messages, &self.next_sequence);
         Ok(source.with_stated_calibration())
     }
 

@@ -64,7 +64,8 @@ impl Wake for Unpark {
 
 impl Ros2Source {
     pub fn new(
-        (options, offered): (Ros2Options, Vec<PublishedTopic>),
+        options: Ros2Options,
+        offered: Vec<PublishedTopic>,
         read: Subscriptions,
         messages: CameraMessages,
         next_sequence: &Arc<AtomicU64>,

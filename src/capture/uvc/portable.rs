@@ -174,7 +174,7 @@ impl Waiting {
         let mut camera = Camera::new(index, any).map_err(lost)?;
         let mut offered = camera.compatible_camera_formats().map_err(lost)?;
         #[cfg(target_os = "linux")]
-        offered.extend(v4l2::gray_modes(number).into_iter().map(gray));
+        offered.extend(v4l2::gray_modes(number).into_iter().map(|(size, fps)| gray(size, fps)));
         let mode = choose(&offered, &self.mode).map_err(|problem| CaptureError::Failed {
             reason: format!("{}: {problem}", self.name),
         })?;
@@ -317,7 +317,7 @@ fn frame_of(buffer: &Buffer, mode: CameraFormat) -> Option<Frame> {
 
 /// A mode of gray images, of this size and rate.
 #[cfg(target_os = "linux")]
-fn gray((size, fps): (ImageSize, u32)) -> CameraFormat {
+fn gray(size: ImageSize, fps: u32) -> CameraFormat {
     CameraFormat::new(Resolution::new(size.width, size.height), FrameFormat::GRAY, fps)
 }
 

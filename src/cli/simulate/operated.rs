@@ -165,7 +165,7 @@ impl OperatedSession {
         let record = SessionRecord::begin("", "", request, 0);
         let mut session = Session::begin(record, &[], &AdmissionOptions::default());
         let mut operator =
-            Operator::before(self.seed, self.operator.kind(), &self.board, (&self.lens, self.size));
+            Operator::before(self.seed, self.operator.kind(), &self.board, &self.lens, self.size);
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed ^ 0x006e_6f69_7365);
         let (mut reached, mut frames, mut course) = (false, 0_u64, Vec::new());
         let mut to_go: Vec<(u32, [u32; 2])> = Vec::new();
@@ -208,7 +208,7 @@ impl OperatedSession {
         }
         let options = CameraOptions { lens, ..CameraOptions::default() };
         let estimate = calibrate_camera(&self.problem(&session), &options).ok()?;
-        let mut outcome = self.outcome(&estimate, &session, (reached, frames as f64 * FRAME_S))?;
+        let mut outcome = self.outcome(&estimate, &session, reached, frames as f64 * FRAME_S)?;
         (outcome.course, outcome.to_go) = (course, to_go);
         Some(outcome)
     }
@@ -315,7 +315,8 @@ impl OperatedSession {
         &self,
         estimate: &CameraEstimate,
         session: &Session,
-        (reached, seconds): (bool, f64),
+        reached: bool,
+        seconds: f64,
     ) -> Option<OperatedOutcome> {
         let grid = PixelGrid::over(self.size, 12);
         let covariance = &estimate.lens_covariance;

@@ -40,7 +40,8 @@ impl CurvedChart {
     pub(super) fn near(
         grid: &Grid,
         sheets: &Sheets,
-        (i, j): (i32, i32),
+        i: i32,
+        j: i32,
         pairs: &mut Vec<ChartPair>,
     ) -> Option<Self> {
         let at = |p: Vec2| [f64::from(p.x), f64::from(p.y)];

@@ -172,14 +172,14 @@ impl TargetDetector {
         let mut seen = Unlabeled::default();
         for level in self.levels(image, coarsest) {
             let search = LatticeSearch::Boards;
-            if let Some(found) = self.find_on(image, (level, search), &mut seen) {
+            if let Some(found) = self.find_on(image, level, search, &mut seen) {
                 return Ok(found);
             }
         }
         // Squares of which an image shows no more than a few are large on any level.
         for level in (coarsest.saturating_sub(1)..=coarsest).rev() {
             let search = LatticeSearch::FewSquares;
-            if let Some(found) = self.find_on(image, (level, search), &mut seen) {
+            if let Some(found) = self.find_on(image, level, search, &mut seen) {
                 return Ok(found);
             }
         }
@@ -245,10 +245,11 @@ impl TargetDetector {
     fn find_on(
         &mut self,
         image: GrayView<'_>,
-        (level, search): (usize, LatticeSearch),
+        level: usize,
+        search: LatticeSearch,
         seen: &mut Unlabeled,
     ) -> Option<FoundTarget> {
-        let label = self.search_level(image, (level, search), seen)?;
+        let label = self.search_level(image, level, search, seen)?;
         let detection = self.finish(image, level, label)?;
         Some(FoundTarget { detection, label, level, between: false })
     }
@@ -256,7 +257,8 @@ impl TargetDetector {
     fn search_level(
         &mut self,
         image: GrayView<'_>,
-        (level, search): (usize, LatticeSearch),
+        level: usize,
+        search: LatticeSearch,
         seen: &mut Unlabeled,
     ) -> Option<BoardLabel> {
         self.pyramid.extend(image, level);
@@ -400,7 +402,7 @@ impl TargetDetector {
             sheets: &self.sheets,
             thresholds: &self.thresholds.lattice,
         };
-        self.growth.detect_missing(scene, &mut self.grid, (&places, COMPLETIONS));
+        self.growth.detect_missing(scene, &mut self.grid, &places, COMPLETIONS);
     }
 
     /// Forgets the candidates of the level that was searched last: they are not the next one's.

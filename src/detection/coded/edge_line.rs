@@ -66,15 +66,17 @@ impl EdgePlaces {
         self.places.clear();
     }
 
-    /// Adds what `image` shows at `center`, `along` pixels from where places are counted, so far to
+    /// Adds what `image` shows at `center`, `along` pixels from where places are counted, `half_px` to
     /// either side in the direction `across`.
     pub(super) fn measure(
         &mut self,
         image: GrayView<'_>,
-        (center, along): (Vec2, f32),
-        across: (Vec2, f32),
+        center: Vec2,
+        along: f32,
+        across: Vec2,
+        half_px: f32,
     ) {
-        self.places.extend(EdgePlace::measure(image, (center, along), across));
+        self.places.extend(EdgePlace::measure(image, center, along, across, half_px));
     }
 
     /// Keeps of `places` those whose black and white are as at most of them; `None` if black is not
@@ -139,8 +141,10 @@ impl EdgePlace {
     /// What `image` shows across a side at `center`, so far along it.
     fn measure(
         image: GrayView<'_>,
-        (center, along): (Vec2, f32),
-        (across, half_px): (Vec2, f32),
+        center: Vec2,
+        along: f32,
+        across: Vec2,
+        half_px: f32,
     ) -> Option<Self> {
         let mut grays = [0.0; ACROSS];
         for (nth, gray) in grays.iter_mut().enumerate() {

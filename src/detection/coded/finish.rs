@@ -80,7 +80,7 @@ impl TargetDetector {
                     .is_some_and(|off| off.x.abs().max(off.y.abs()) < limits.most_sharpened)
             };
             if let Some(sharp) =
-                settle(scene, node.pixel, steps, (lattice.least_known_score, lattice.most_reach_px))
+                settle(scene, node.pixel, steps, lattice.least_known_score, lattice.most_reach_px)
                     .filter(|sharp| near(sharp.pixel))
             {
                 self.grid.set(i, j, sharp);
@@ -275,13 +275,13 @@ impl TargetDetector {
             let pixel = refined.map_or(found, |refined| refined.pixel);
             let std_px = refined
                 .map_or(self.thresholds.marker_corners.standing_std_px, |refined| refined.std_px);
-            corners.push(self.labeled(label, guess.index, (pixel, std_px)));
+            corners.push(self.labeled(label, guess.index, pixel, std_px));
         }
         blurs.sort_unstable_by(f64::total_cmp);
         let blur_px = blurs.get(blurs.len() / 2).copied().unwrap_or(0.0);
         let Self { meeting, sheets, grid, thresholds, .. } = self;
         let meeting = meeting.points(image, (sheets, grid, label), thresholds, blur_px);
-        let met = meeting.iter().map(|it| self.labeled(label, it.at, (it.pixel, it.std_px)));
+        let met = meeting.iter().map(|it| self.labeled(label, it.at, it.pixel, it.std_px));
         corners.extend(met);
         self.answer(label, corners, blurs)
     }
@@ -291,7 +291,8 @@ impl TargetDetector {
         &self,
         label: BoardLabel,
         GridIndex { col: i, row: j }: GridIndex,
-        (pixel, std_px): (Pixel, f64),
+        pixel: Pixel,
+        std_px: f64,
     ) -> LabeledCorner {
         let (col, row) = label.placement.in_board(i, j);
         let id = self.target.corner_id(col as u32, row as u32);

@@ -19,7 +19,7 @@ impl TargetDetector {
         for (inverted, ways) in self.readings(expected) {
             let sheet = &self.sheets.ways[ways.start];
             let in_bright = self.sheets.in_bright != inverted;
-            self.reading.read(view, (&self.sheets, sheet), &self.grid, in_bright);
+            self.reading.read(view, &self.sheets, sheet, &self.grid, in_bright);
             for beyond in [0, self.thresholds.labels.most_beyond] {
                 let mut best = BestLabel::default();
                 for way in ways.clone() {

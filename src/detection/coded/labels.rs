@@ -76,7 +76,7 @@ impl BestLabel {
                 if !aligned(sheets, placement) || !covers(sheet, grid, placement, limits) {
                     continue;
                 }
-                if let Some(label) = weigh_one((sheets, sheet), reading, placement) {
+                if let Some(label) = weigh_one(sheets, sheet, reading, placement) {
                     let label = BoardLabel { way, inverted, ..label };
                     match self.first {
                         Some(best) if best.significance >= label.significance => {
@@ -226,7 +226,8 @@ fn own_agreement(
 }
 
 fn weigh_one(
-    (sheets, sheet): (&Sheets, &Sheet),
+    sheets: &Sheets,
+    sheet: &Sheet,
     reading: &MarkerReading,
     placement: BoardPlacement,
 ) -> Option<BoardLabel> {

@@ -94,7 +94,8 @@ impl LatticeGrowth {
         &mut self,
         scene: LatticeScene<'_>,
         grid: &mut Grid,
-        (places, rounds): (&[(i32, i32)], usize),
+        places: &[(i32, i32)],
+        rounds: usize,
     ) {
         // By place: how many were found before it was measured, and within how many lines the
         // others decided on the outcome.
@@ -216,7 +217,7 @@ impl Expected {
         let reaches = &reaches[..if self.labeled { 2 } else { 1 }];
         reaches.iter().find_map(|&most_px| {
             places.iter().flatten().find_map(|&place| {
-                settle(scene, place, self.steps, (least_score, most_px)).filter(is_it)
+                settle(scene, place, self.steps, least_score, most_px).filter(is_it)
             })
         })
     }
@@ -277,7 +278,8 @@ pub(super) fn settle(
     scene: LatticeScene<'_>,
     expected: Vec2,
     steps: [Vec2; 2],
-    (least_score, most_px): (f32, f32),
+    least_score: f32,
+    most_px: f32,
 ) -> Option<Node> {
     let LatticeScene { image, sheets, thresholds: limits, .. } = scene;
     let [u, v] = steps;

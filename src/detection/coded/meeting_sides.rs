@@ -198,7 +198,8 @@ impl MeetingSides {
         &mut self,
         scene: SideScene<'_>,
         corner: &CornerChart,
-        (axis, way): (usize, i32),
+        axis: usize,
+        way: i32,
     ) -> Option<MeasuredSide> {
         let (i, j) = corner.at;
         let length = scene.side_length(i, j, axis, way)?;
@@ -226,7 +227,7 @@ impl MeetingSides {
             let [x, y] = at(margin + (1.0 - 2.0 * margin) * part);
             let center = corner.chart.at(x, y)?;
             let along = (center - corner.pixel).norm();
-            self.places.measure(scene.image, (center, along), (across, half_px));
+            self.places.measure(scene.image, center, along, across, half_px);
         }
         self.places.keep_alike(bright)?;
         let end = if axis == 0 { (i + way, j) } else { (i, j + way) };
@@ -248,7 +249,7 @@ impl MeetingSides {
             };
             let Some(corner) = scene.corner(at, &mut self.pairs) else { continue };
             for (axis, way) in [(0, 1), (0, -1), (1, 1), (1, -1)] {
-                let Some(mut side) = self.side(scene, &corner, (axis, way)) else { continue };
+                let Some(mut side) = self.side(scene, &corner, axis, way) else { continue };
                 side.line.here.px -= (node.pixel - corner.pixel).dot(&corner.across(axis));
                 self.references.push(side);
             }
@@ -280,7 +281,7 @@ impl MeetingSides {
     ) -> Option<(Vec2, f32)> {
         let [(a, p), (b, q)] = [0, 1].map(|axis| {
             let sides = [1, -1].map(|way| {
-                self.side(scene, corner, (axis, way)).filter(|side| scatter.is_side(side))
+                self.side(scene, corner, axis, way).filter(|side| scatter.is_side(side))
             });
             (combined(sides, scatter), corner.across(axis))
         });

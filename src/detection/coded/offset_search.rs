@@ -102,7 +102,7 @@ impl OffsetSearch {
         let limits = &probe.thresholds.marker_tracking;
         self.seen.clear();
         for (index, reference) in references.iter().enumerate() {
-            self.search_around(probe, level, (index, reference));
+            self.search_around(probe, level, index, reference);
         }
         let least = (limits.least_alike * references.len() as f32).ceil() as usize;
         let mut best: Vec<ReferenceCandidate> = Vec::new();
@@ -135,7 +135,8 @@ impl OffsetSearch {
         &mut self,
         probe: Probe<'_>,
         level: usize,
-        (index, reference): (usize, &ReferenceCorner),
+        index: usize,
+        reference: &ReferenceCorner,
     ) {
         let Self { pyramid, response, candidates, seen } = self;
         let limits = &probe.thresholds.marker_tracking;

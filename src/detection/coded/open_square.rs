@@ -35,7 +35,7 @@ impl TargetDetector {
             sheets,
             thresholds: &thresholds.lattice,
         };
-        let limits = (thresholds.lattice.least_score, thresholds.lattice.most_reach_px);
+        let lattice = &thresholds.lattice;
         let is_it = |node: &Node| {
             (node.contrast > 0.0) == open.bright
                 && in_steps(node.pixel - open.fourth, [a - first, b - first])
@@ -49,7 +49,7 @@ impl TargetDetector {
         places.sort_by_key(|(x, y)| x * x + y * y);
         let node = places.into_iter().find_map(|(x, y)| {
             let place = open.fourth + Vec2::new(x as f32, y as f32) * spacing_px;
-            settle(scene, place, steps, limits).filter(is_it)
+            settle(scene, place, steps, lattice.least_score, lattice.most_reach_px).filter(is_it)
         })?;
         let ways = steps.map(|step| step.normalize());
         let edges = if open.bright { ways } else { [ways[1], -ways[0]] };

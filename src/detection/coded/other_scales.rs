@@ -15,17 +15,16 @@ impl TargetDetector {
         let mut between = std::mem::take(&mut self.between);
         let mut found = None;
         for level in between.two_thirds(image, coarsest) {
-            found =
-                found.or_else(|| self.find_on_copy(image, (level, LatticeSearch::Boards), seen));
+            found = found.or_else(|| self.find_on_copy(image, level, LatticeSearch::Boards, seen));
         }
         for level in between.two_thirds(image, coarsest).filter(|it| it.finer + 1 >= coarsest) {
             let search = LatticeSearch::FewSquares;
-            found = found.or_else(|| self.find_on_copy(image, (level, search), seen));
+            found = found.or_else(|| self.find_on_copy(image, level, search, seen));
         }
         let is_large = image.width().max(image.height()) > self.thresholds.lattice.large_side_px;
         if found.is_none() && !is_large {
             let level = between.doubled(image);
-            found = self.find_on_copy(image, (level, LatticeSearch::SmallSquares), seen);
+            found = self.find_on_copy(image, level, LatticeSearch::SmallSquares, seen);
         }
         self.between = between;
         found
@@ -34,7 +33,8 @@ impl TargetDetector {
     fn find_on_copy(
         &mut self,
         image: GrayView<'_>,
-        (level, search): (BetweenLevel<'_>, LatticeSearch),
+        level: BetweenLevel<'_>,
+        search: LatticeSearch,
         seen: &mut Unlabeled,
     ) -> Option<FoundTarget> {
         let BetweenLevel { view, finer, scale } = level;

@@ -115,7 +115,7 @@ impl BoardPrint for LabeledPrint<'_> {
         }
         let Self { sheets, grid, pairs, corners, charts, .. } = self;
         charts.clear();
-        charts.extend(corners.iter().map(|&at| CurvedChart::near(grid, sheets, at, pairs)));
+        charts.extend(corners.iter().map(|&(i, j)| CurvedChart::near(grid, sheets, i, j, pairs)));
     }
 
     fn place_of(&self, corner: usize, pixel: [f64; 2]) -> Option<[f64; 2]> {

@@ -58,7 +58,8 @@ impl MarkerReading {
     pub(super) fn read(
         &mut self,
         image: GrayView<'_>,
-        (sheets, sheet): (&Sheets, &Sheet),
+        sheets: &Sheets,
+        sheet: &Sheet,
         grid: &Grid,
         in_bright: bool,
     ) {

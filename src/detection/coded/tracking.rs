@@ -93,8 +93,8 @@ impl TargetDetector {
             return None;
         }
         let with_motion = self.last.corners.moved();
-        let moved = with_motion && self.measure_moved(image, (label, bright), true);
-        if !moved && !self.measure_moved(image, (label, bright), false) {
+        let moved = with_motion && self.measure_moved(image, label, bright, true);
+        if !moved && !self.measure_moved(image, label, bright, false) {
             return None;
         }
         self.complete(image, label);
@@ -135,7 +135,7 @@ impl TargetDetector {
         let blurs = self.refined.iter().flatten().map(|refined| refined.blur_px).collect();
         self.guesses = measured;
         let corners = self.guesses.iter();
-        let corners = corners.map(|it| self.labeled(label, it.index, (it.pixel, std_px))).collect();
+        let corners = corners.map(|it| self.labeled(label, it.index, it.pixel, std_px)).collect();
         Some(self.answer(label, corners, blurs))
     }
 
@@ -144,10 +144,11 @@ impl TargetDetector {
     fn measure_moved(
         &mut self,
         image: GrayView<'_>,
-        (label, bright): (BoardLabel, bool),
+        label: BoardLabel,
+        bright: bool,
         with_motion: bool,
     ) -> bool {
-        let Some(offset) = self.offset(image, (label, bright), with_motion) else { return false };
+        let Some(offset) = self.offset(image, label, bright, with_motion) else { return false };
         self.forget_candidates(image);
         let [across, _] = self.sheets.ways[label.way].lines;
         let Self { last, grid, sheets, neighborhood, thresholds, .. } = self;
@@ -166,7 +167,7 @@ impl TargetDetector {
             count += 1;
             let (col, row) = (index as i32 % across, index as i32 / across);
             let (i, j) = label.placement.in_grid(col, row);
-            let expected = expected(&last.corners, (index, node.pixel), with_motion);
+            let expected = expected(&last.corners, index, node.pixel, with_motion);
             let place = Expected {
                 pixel: expected + offset.at(expected),
                 steps: offset.stretched(last.steps[index]),
@@ -175,7 +176,7 @@ impl TargetDetector {
                 labeled: true,
             };
             if let Some(node) = place.detect(scene) {
-                grid.set(i, j, exact(node, scene, (place.steps, exact_px)));
+                grid.set(i, j, exact(node, scene, place.steps, exact_px));
             }
         }
         grid.members.len() as f32 >= thresholds.marker_tracking.least_kept * count as f32
@@ -185,7 +186,8 @@ impl TargetDetector {
     fn offset(
         &mut self,
         image: GrayView<'_>,
-        (label, bright): (BoardLabel, bool),
+        label: BoardLabel,
+        bright: bool,
         with_motion: bool,
     ) -> Option<PredictionOffset> {
         let [across, _] = self.sheets.ways[label.way].lines;
@@ -198,7 +200,7 @@ impl TargetDetector {
             let (i, j) = label.placement.in_grid(index as i32 % across, index as i32 / across);
             let is_bright = ((i + j) & 1 == 0) == bright;
             Some(ReferenceCorner {
-                expected: expected(corners, (index, node.pixel), with_motion),
+                expected: expected(corners, index, node.pixel, with_motion),
                 cell: steps[index].map(|step| step * narrow),
                 polarity: if is_bright { 1.0 } else { -1.0 },
             })
@@ -208,7 +210,7 @@ impl TargetDetector {
 }
 
 /// The crossing again, in a window of so many pixels that no other edge reaches into.
-fn exact(node: Node, scene: LatticeScene<'_>, ([u, v], reach_px): ([Vec2; 2], f32)) -> Node {
+fn exact(node: Node, scene: LatticeScene<'_>, [u, v]: [Vec2; 2], reach_px: f32) -> Node {
     let reach = scene.thresholds.reach * scene.sheets.room;
     let window = CrossWindow::on_board(node.pixel, u, v, reach, reach_px);
     match window.measure(scene.image) {
@@ -220,7 +222,7 @@ fn exact(node: Node, scene: LatticeScene<'_>, ([u, v], reach_px): ([Vec2; 2], f3
 }
 
 /// Where corner `index`, last seen at `pixel`, is now, if it goes on as it moved.
-fn expected(corners: &LastCorners, (index, pixel): (usize, Vec2), with_motion: bool) -> Vec2 {
+fn expected(corners: &LastCorners, index: usize, pixel: Vec2, with_motion: bool) -> Vec2 {
     let motion = corners.motion(index).filter(|_| with_motion);
     pixel + motion.unwrap_or_else(Vec2::zeros)
 }

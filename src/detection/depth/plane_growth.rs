@@ -53,7 +53,8 @@ pub fn grow_plane(
     let patch = |cell: usize| {
         let tile = measure(
             image,
-            (reading, options.invalid),
+            reading,
+            options.invalid,
             [cell % across * side, cell / across * side],
             side,
         )?;
@@ -92,7 +93,7 @@ pub fn grow_plane(
                 let Some(patch) = (if taken[cell] { None } else { patch_at(cell) }) else {
                     continue;
                 };
-                if goes_on(&normal, (&near, &patch), options.tolerance) {
+                if goes_on(&normal, &near, &patch, options.tolerance) {
                     taken[cell] = true;
                     next.push(cell);
                 }
@@ -129,7 +130,7 @@ impl PlaneSums {
     }
 }
 
-fn goes_on(plane: &Vector3<f64>, (near, next): (&PlanePatch, &PlanePatch), tolerance: f64) -> bool {
+fn goes_on(plane: &Vector3<f64>, near: &PlanePatch, next: &PlanePatch, tolerance: f64) -> bool {
     let off = |patch: &PlanePatch| patch.tile.inverse_depth - plane.dot(&patch.ray);
     let std = |patch: &PlanePatch| {
         patch.tile.reading_std * (1.0 / f64::from(patch.tile.count)).sqrt().max(LEAST_READING_STDS)
@@ -150,7 +151,8 @@ fn neighbors(cell: usize, across: usize, down: usize) -> impl Iterator<Item = us
 /// The patch with this corner; `None` where a quarter of its readings is missing.
 fn measure(
     image: &DepthImage,
-    (reading, invalid): (DepthReading, Option<u16>),
+    reading: DepthReading,
+    invalid: Option<u16>,
     [left, top]: [usize; 2],
     side: usize,
 ) -> Option<DepthTile> {

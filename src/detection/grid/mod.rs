@@ -259,10 +259,10 @@ impl Grid {
 
     /// From (i, j) to the next corner along i and along j, from the nearest that are known.
     pub(in crate::detection) fn steps(&self, i: i32, j: i32) -> Option<[Vec2; 2]> {
-        Some([self.step(i, j, (1, 0))?, self.step(i, j, (0, 1))?])
+        Some([self.step(i, j, 1, 0)?, self.step(i, j, 0, 1)?])
     }
 
-    fn step(&self, i: i32, j: i32, (di, dj): (i32, i32)) -> Option<Vec2> {
+    fn step(&self, i: i32, j: i32, di: i32, dj: i32) -> Option<Vec2> {
         if let (Some(p), Some(q)) = (self.pixel(i - di, j - dj), self.pixel(i + di, j + dj)) {
             return Some((q - p) * 0.5);
         }

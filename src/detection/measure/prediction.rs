@@ -46,7 +46,8 @@ impl Prediction {
     pub(in crate::detection) fn by_perspective(
         perspective: &Perspective,
         grid: &Grid,
-        (i, j): (i32, i32),
+        i: i32,
+        j: i32,
         thresholds: &MeasureThresholds,
     ) -> Option<Self> {
         Some(Self {
@@ -61,7 +62,8 @@ impl Prediction {
     /// The corner (i, j) on a curved board, if that differs from `before`.
     pub(in crate::detection) fn on_curved_board(
         grid: &Grid,
-        (i, j): (i32, i32),
+        i: i32,
+        j: i32,
         before: Option<Self>,
         thresholds: &MeasureThresholds,
     ) -> Option<Self> {

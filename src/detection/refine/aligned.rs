@@ -38,7 +38,8 @@ impl Refiner {
         &mut self,
         image: GrayView<'_>,
         corners: &[GridCorner],
-        (print, (mut blur, power)): (&mut dyn BoardPrint, (PrintBlur, f64)),
+        print: &mut dyn BoardPrint,
+        (mut blur, power): (PrintBlur, f64),
         refined: &mut Vec<Option<RefinedCorner>>,
     ) -> bool {
         let mut aligned: Vec<Option<Aligned>> = Vec::with_capacity(corners.len());
@@ -47,7 +48,7 @@ impl Refiner {
             aligned.clear();
             for (slot, corner) in corners.iter().enumerate() {
                 let nearby = Nearby { print: &*print, blur, power };
-                let found = self.align_corner(image, (slot, corner), nearby);
+                let found = self.align_corner(image, slot, corner, nearby);
                 aligned.push(found.filter(|it| it.is_corner(corner, &self.thresholds)));
             }
             self.know_aligned(&aligned);
@@ -119,8 +120,7 @@ impl Refiner {
         let known: Vec<(usize, &GridCorner)> = known.collect();
         let every = (known.len() / self.thresholds.compared_corners).max(1);
         let compared = known.iter().step_by(every).filter_map(|&(slot, corner)| {
-            let (window, light) =
-                self.surroundings(corner, print.expected(slot)?, (blur, power))?;
+            let (window, light) = self.surroundings(corner, print.expected(slot)?, blur, power)?;
             let mut patch = PrintPatch::default();
             patch.read_for_any(print, slot, &window, blur);
             Some((patch, window, light))
@@ -130,7 +130,7 @@ impl Refiner {
         let mut misfit = |blur: PrintBlur| -> f64 {
             let each = compared.iter_mut().map(|(patch, window, light)| {
                 let fit = patch.blurred(blur, window).then(|| {
-                    samples.gather(image, (patch, window), light);
+                    samples.gather(image, patch, window, light);
                     samples.align(light)
                 });
                 fit.flatten().map_or(NO_PRINT, |fit| fit.mean_square)
@@ -147,12 +147,13 @@ impl Refiner {
     fn align_corner(
         &mut self,
         image: GrayView<'_>,
-        (slot, corner): (usize, &GridCorner),
+        slot: usize,
+        corner: &GridCorner,
         Nearby { print, blur, power }: Nearby<'_>,
     ) -> Option<Aligned> {
-        let (window, light) = self.surroundings(corner, print.expected(slot)?, (blur, power))?;
+        let (window, light) = self.surroundings(corner, print.expected(slot)?, blur, power)?;
         self.patch.draw(print, slot, &window, blur);
-        let inside = self.aligned.gather(image, (&self.patch, &window), &light);
+        let inside = self.aligned.gather(image, &self.patch, &window, &light);
         let fit = self.aligned.align(&light).filter(|_| inside > self.thresholds.least_inside)?;
         Some(Aligned { window, fit, blur_px: blur.width_px() })
     }
@@ -162,7 +163,8 @@ impl Refiner {
         &mut self,
         corner: &GridCorner,
         origin: [f64; 2],
-        (blur, power): (PrintBlur, f64),
+        blur: PrintBlur,
+        power: f64,
     ) -> Option<(Window, PrintLight)> {
         let limits = &self.thresholds;
         let blur_px = blur.width_px();

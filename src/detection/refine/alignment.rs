@@ -86,7 +86,8 @@ impl AlignedSamples {
     pub fn gather(
         &mut self,
         image: GrayView<'_>,
-        (patch, window): (&PrintPatch, &Window),
+        patch: &PrintPatch,
+        window: &Window,
         light: &PrintLight,
     ) -> f64 {
         let bin = window.bin;
@@ -162,7 +163,7 @@ impl AlignedSamples {
                     (light.noise_of_light(predicted, sample.print), trust * trust)
                 }
             };
-            sums.add(&row, sample.light, (sample.weight, trust), noise);
+            sums.add(&row, sample.light, sample.weight, trust, noise);
         }
         if sums.trusted < LEAST_SAMPLES {
             return None;
@@ -232,7 +233,7 @@ struct AlignmentSums {
 }
 
 impl AlignmentSums {
-    fn add(&mut self, row: &Vector4<f64>, light: f64, (weight, trust): (f64, f64), noise: f64) {
+    fn add(&mut self, row: &Vector4<f64>, light: f64, weight: f64, trust: f64, noise: f64) {
         let trusted = weight * trust;
         let certainty = trusted / (noise * noise);
         let outer = row * row.transpose();

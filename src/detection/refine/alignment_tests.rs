@@ -91,7 +91,7 @@ fn aligned(image: &GrayImage, placed: [f64; 2]) -> Alignment {
     let mut patch = PrintPatch::default();
     patch.draw(&Cells { corner: placed }, 0, &window, PrintBlur::round(BLUR_PX));
     let mut samples = AlignedSamples::default();
-    assert!(samples.gather(image.view(), (&patch, &window), &light()) > 0.99);
+    assert!(samples.gather(image.view(), &patch, &window, &light()) > 0.99);
     samples.align(&light()).unwrap()
 }
 
@@ -143,7 +143,7 @@ fn what_shows_no_print_is_not_aligned() {
     let mut patch = PrintPatch::default();
     patch.draw(&Cells { corner: [26.0; 2] }, 0, &window, PrintBlur::round(BLUR_PX));
     let mut samples = AlignedSamples::default();
-    samples.gather(flat.view(), (&patch, &window), &light());
+    samples.gather(flat.view(), &patch, &window, &light());
     let contrast = samples.align(&light()).map_or(0.0, |it| it.grays[1] - it.grays[0]);
     assert!(contrast < 1.0, "{contrast}");
 }

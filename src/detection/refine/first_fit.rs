@@ -81,7 +81,8 @@ impl Refiner {
                 origin,
                 axes,
                 blur_px,
-                (self.thresholds.first_reach * coarser as f64, 1.0 - self.taken),
+                self.thresholds.first_reach * coarser as f64,
+                1.0 - self.taken,
             )
             .coarsened(coarser);
             let Some(first) = self

@@ -40,7 +40,8 @@ pub(super) struct OwnCurvature {
 pub(super) fn own_curvatures(
     samples: &Samples,
     columns: &ModelColumns,
-    (fit, window): (&CornerFit, &Window),
+    fit: &CornerFit,
+    window: &Window,
 ) -> [Option<OwnCurvature>; 2] {
     let asked = window.extent.map(|extent| extent >= LEAST_EXTENT);
     if asked == [false; 2] {

@@ -374,7 +374,7 @@ impl PrintPatch {
                 }
             }
             if moved > 0 {
-                move_along(layer, passed, (side, moved), line);
+                move_along(layer, passed, side, moved, line);
             }
         }
     }
@@ -395,7 +395,8 @@ fn kernel_radius(sigma: f64) -> i64 {
 fn move_along(
     layer: &mut Vec<f32>,
     moved: &mut Vec<f32>,
-    (side, margin): (usize, usize),
+    side: usize,
+    margin: usize,
     line: [f64; 2],
 ) {
     let wide = side + 2 * margin;

@@ -40,7 +40,7 @@ impl Refiner {
                 let print = Some((slot, Nearby { print: &*print, blur, power }));
                 let beside = Beside { print, shaded: self.shaded[slot] };
                 let second = self
-                    .fit_within_board(image, corner, &first, (noise, beside))
+                    .fit_within_board(image, corner, &first, noise, beside)
                     .filter(|second| second.may_be_corner(corner, &self.thresholds));
                 if let Some(second) = second {
                     self.noise.take(second.fit.residuals.flat, second.window.bin);
@@ -101,12 +101,8 @@ impl Refiner {
         let mut misfit = |blur: PrintBlur| -> f64 {
             let each = compared.iter().step_by(every).filter_map(|(slot, fitted)| {
                 let axes = fitted.window.axes;
-                let window = Window::new(
-                    fitted.center(),
-                    axes,
-                    blur_px,
-                    (self.thresholds.second_reach, 1.0),
-                );
+                let window =
+                    Window::new(fitted.center(), axes, blur_px, self.thresholds.second_reach, 1.0);
                 self.gather(image, &window)?;
                 self.patch.render(print, *slot, &window, blur);
                 let bins = [fitted.window.bin, window.bin].map(|bin| bin as f64);

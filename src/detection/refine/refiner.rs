@@ -107,7 +107,7 @@ impl Refiner {
             print.as_deref().zip(blur).map(|(print, (blur, power))| Nearby { print, blur, power });
         self.fit_edges(image, corners, nearby, refined);
         let (Some(print), Some(blur)) = (print, blur) else { return false };
-        self.align_print(image, corners, (print, blur), refined)
+        self.align_print(image, corners, print, blur, refined)
     }
 
     /// The second fits of all corners, and what the board says of them.
@@ -129,14 +129,14 @@ impl Refiner {
             let beside = Beside { print: nearby.map(|it| (slot, it)), shaded: self.shaded[slot] };
             let second = first
                 .as_ref()
-                .and_then(|first| self.fit_within_board(image, corner, first, (noise, beside)));
+                .and_then(|first| self.fit_within_board(image, corner, first, noise, beside));
             let second = second.filter(|second| second.is_corner(corner, &self.thresholds));
             self.misfit.take(second.as_ref().map(Fitted::quality));
             if let Some(second) = second.as_ref().filter(|_| self.is_compared(corners, corner)) {
                 self.note_scatter(refined.len(), second);
             }
             self.own_curvatures.push(second.as_ref().map_or([None; 2], |second| {
-                own_curvatures(&self.samples, &self.columns, (&second.fit, &second.window))
+                own_curvatures(&self.samples, &self.columns, &second.fit, &second.window)
             }));
             self.shapes.push(second.as_ref().map_or([1.0, 0.0, 1.0], Fitted::shape));
             if let Some(second) = &second {

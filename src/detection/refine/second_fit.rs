@@ -20,16 +20,13 @@ impl Refiner {
         image: GrayView<'_>,
         corner: &GridCorner,
         first: &Fitted,
-        (noise, beside): ([f64; 2], Beside<'_>),
+        noise: [f64; 2],
+        beside: Beside<'_>,
     ) -> Option<Fitted> {
         let free = if beside.print.is_some() { 1.0 } else { 1.0 - self.taken };
         let axes = axes_of(corner)?;
-        let window = Window::new(
-            first.center(),
-            axes,
-            first.blur_px(),
-            (self.thresholds.second_reach, free),
-        );
+        let window =
+            Window::new(first.center(), axes, first.blur_px(), self.thresholds.second_reach, free);
         let window = window.along_edges(first.fit.model.along, first.blur_px());
         self.gather(image, &window)?;
         let bin = window.bin as f64;

@@ -24,12 +24,7 @@ impl Window {
     /// A window that ends short of the next edges, which lie at the part `free` of the axes, and
     /// reaches at most `reach` samples along each axis, in bins that match the resolution that the
     /// blur leaves.
-    pub fn new(
-        origin: [f64; 2],
-        axes: [[f64; 2]; 2],
-        blur_px: f64,
-        (reach, free): (f64, f64),
-    ) -> Self {
+    pub fn new(origin: [f64; 2], axes: [[f64; 2]; 2], blur_px: f64, reach: f64, free: f64) -> Self {
         let sigma = sigma_px(blur_px);
         let area = (axes[0][0] * axes[1][1] - axes[0][1] * axes[1][0]).abs();
         let lengths = axes.map(length);

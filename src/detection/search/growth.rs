@@ -26,7 +26,8 @@ impl Growth {
     pub(in crate::detection) fn start(
         &mut self,
         probe: Probe<'_>,
-        (candidates, seed): (&[Candidate], &Seed),
+        candidates: &[Candidate],
+        seed: &Seed,
         radius: i32,
         grid: &mut Grid,
     ) {
@@ -126,10 +127,10 @@ impl Growth {
                 if grid.get(i, j).is_some() {
                     continue;
                 }
-                let place = Prediction::by_perspective(&perspective, grid, (i, j), thresholds);
+                let place = Prediction::by_perspective(&perspective, grid, i, j, thresholds);
                 let seen = place.and_then(|place| place.measure(probe, windows));
                 let seen = seen.or_else(|| {
-                    Prediction::on_curved_board(grid, (i, j), place, thresholds)?
+                    Prediction::on_curved_board(grid, i, j, place, thresholds)?
                         .measure(probe, windows)
                 });
                 let Some(node) = seen else { continue };

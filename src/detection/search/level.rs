@@ -148,7 +148,7 @@ impl LevelSearch {
         let (probe, board) = (scene.level(level), scene.board);
         let Self { growth, candidates, neighborhood, grid, .. } = self;
         let radius = board.cols.max(board.rows) as i32 + 2;
-        growth.start(probe, (&candidates.found, seed), radius, grid);
+        growth.start(probe, &candidates.found, seed, radius, grid);
         if !is_whole(grid, board) && grid.bounds().is_some_and(|bounds| !exceeds(bounds, board)) {
             growth.reach(probe, &candidates.found, neighborhood, grid);
         }

@@ -76,7 +76,7 @@ impl ExpectedCorner {
         blur_px: f32,
     ) -> Option<Node> {
         let thresholds = &probe.thresholds.tracking;
-        let near = |place, steps| self.measure_near(probe, place, polarity, (steps, blur_px));
+        let near = |place, steps| self.measure_near(probe, place, polarity, steps, blur_px);
         let near_by = off.and_then(|off| near(self.expected + off, thresholds.predicted_reach));
         near_by.or_else(|| {
             let contrast = [self.last.contrast.abs(), self.last.near_contrast.abs()];
@@ -99,7 +99,8 @@ impl ExpectedCorner {
         probe: Probe<'_>,
         place: Vec2,
         polarity: f32,
-        (off, blur_px): (f32, f32),
+        off: f32,
+        blur_px: f32,
     ) -> Option<Node> {
         let thresholds = &probe.thresholds.tracking;
         let [u, v] = self.steps;

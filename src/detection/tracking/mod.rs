@@ -88,7 +88,7 @@ impl Tracker {
         }
         let placement = place(&self.grid, self.grid.bounds()?, [false; 4], board)?;
         self.last.remember(&self.grid, placement, board);
-        let detection = report_followed(probe, board, (&self.grid, placement), buffers)?;
+        let detection = report_followed(probe, board, &self.grid, placement, buffers)?;
         self.last.blur_px = detection.blur_px as f32;
         Some(detection)
     }
@@ -180,7 +180,8 @@ fn may_be_corner(probe: Probe<'_>, place: &Prediction) -> bool {
 fn report_followed(
     probe: Probe<'_>,
     board: BoardSize,
-    (grid, placement): (&Grid, BoardPlacement),
+    grid: &Grid,
+    placement: BoardPlacement,
     buffers: &mut ReportBuffers,
 ) -> Option<Detection> {
     take_guesses(grid, placement, &mut buffers.guesses);

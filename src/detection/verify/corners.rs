@@ -93,7 +93,8 @@ pub(in crate::detection) fn drop_outliers(
     probe: Probe<'_>,
     grid: &mut Grid,
     placement: BoardPlacement,
-    (corners, median_std_px): (&mut Vec<DetectedCorner>, f64),
+    corners: &mut Vec<DetectedCorner>,
+    median_std_px: f64,
 ) {
     let thresholds = &probe.thresholds.corners;
     for corner in corners.iter() {

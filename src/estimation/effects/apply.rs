@@ -13,18 +13,19 @@ use crate::geometry::pixel::ImageSize;
 /// A fit of one camera carried on with what the views show of the board's shape and motion; as it
 /// was where they show none.
 pub(crate) fn with_effects(fit: CameraFit, size: ImageSize, options: &CameraOptions) -> CameraFit {
-    with_effects_from(fit, None, (size, options))
+    with_effects_from(fit, None, size, options)
 }
 
 /// As [`with_effects`], beginning with what another fit of the same views `found`.
 pub(crate) fn with_effects_from(
     fit: CameraFit,
     found: Option<&EffectsFit>,
-    (size, options): (ImageSize, &CameraOptions),
+    size: ImageSize,
+    options: &CameraOptions,
 ) -> CameraFit {
     let Some(wanted) = wanted(&fit, options) else { return fit };
     let sides = [size.width, size.height].map(f64::from);
-    let Some(Effects { found, shutter_doubt }) = fit_effects(&fit, found, (sides, wanted)) else {
+    let Some(Effects { found, shutter_doubt }) = fit_effects(&fit, found, sides, wanted) else {
         return fit;
     };
     let with = found.and_then(|found| carried_on(&fit, size, found));

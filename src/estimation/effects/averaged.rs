@@ -23,7 +23,8 @@ impl EffectsFit {
     pub(super) fn averaged_with(
         &self,
         still: &Self,
-        (full, agreement): (&BoardBasis, f64),
+        full: &BoardBasis,
+        agreement: f64,
     ) -> Option<Self> {
         let (p, q) = (agreement, 1.0 - agreement);
         let variances = union(full, &self.variances, &still.variances);

@@ -185,7 +185,8 @@ impl<'a> Reduced<'a> {
     pub(super) fn of(
         system: &'a System,
         state: &EffectsState,
-        (basis, lens): (&'a BoardBasis, usize),
+        basis: &'a BoardBasis,
+        lens: usize,
         variances: &'a Variances,
     ) -> Option<Self> {
         let lambda = prior_information(variances, lens, basis);

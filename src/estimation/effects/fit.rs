@@ -42,7 +42,8 @@ const MAX_ROUNDS: usize = 4;
 pub(crate) fn fit_effects(
     plain: &CameraFit,
     found: Option<&EffectsFit>,
-    (size, wanted): ([f64; 2], Wanted),
+    size: [f64; 2],
+    wanted: Wanted,
 ) -> Option<Effects> {
     let [width, rows] = size;
     let wanted = plausible(plain, size, wanted)?;
@@ -71,7 +72,7 @@ pub(crate) fn fit_effects(
     let start = |scene, wanted| {
         let fixed = plain.robust.minimum.state.clone();
         match found {
-            Some(found) => EffectSearch::from_found(scene, (fixed, found), wanted),
+            Some(found) => EffectSearch::from_found(scene, fixed, found, wanted),
             None => EffectSearch::start(scene, fixed, wanted),
         }
     };
@@ -83,7 +84,7 @@ pub(crate) fn fit_effects(
             Some(still) => Some(still),
             None => EffectSearch::bare(scene, plain.robust.minimum.state.clone()),
         };
-        Weighed::of(walk, still, (scene, width))?
+        Weighed::of(walk, still, scene, width)?
     } else {
         Weighed { walk, without: None, shutter_doubt: None }
     };
@@ -115,7 +116,7 @@ pub(crate) fn fit_effects(
     let still = still.settled_again(scene)?.finished(scene)?;
     let difference = lens_difference(found.lens(), still.lens());
     let shutter_doubt = Some(difference * by_rows.error());
-    let found = found.averaged_with(&still, (&basis, by_rows.agreement))?;
+    let found = found.averaged_with(&still, &basis, by_rows.agreement)?;
     Some(Effects { found: Some((found, corners)), shutter_doubt })
 }
 
@@ -143,7 +144,7 @@ pub(crate) fn fit_same_effects(
         return Some(with);
     }
     let still = EffectSearch::same_as(scene, from(), false)?.finished(scene)?;
-    with.averaged_with(&still, (&basis, found.shutter_agreement))
+    with.averaged_with(&still, &basis, found.shutter_agreement)
 }
 
 /// By how much the parameters of a lens exceed those of another.
@@ -171,7 +172,8 @@ impl Weighed {
     fn of(
         walk: EffectSearch,
         still: impl FnOnce() -> Option<EffectSearch>,
-        (scene, width): (Scene<'_>, f64),
+        scene: Scene<'_>,
+        width: f64,
     ) -> Option<Self> {
         let by_rows = walk.read_by_rows(scene, width)?;
         if by_rows.is_shown {

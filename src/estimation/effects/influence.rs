@@ -8,7 +8,9 @@ use nalgebra::{Cholesky, DMatrix, DMatrixView, DVector, Dyn, Vector6};
 use crate::estimation::clustered_covariance::Influence;
 use crate::estimation::effects::state::{EffectsState, Scene};
 use crate::estimation::effects::view_columns::ViewColumns;
-use crate::estimation::joint::linearize::{Columns, LocalEquations, differentiate_observation};
+use crate::estimation::joint::linearize::{
+    Columns, LinearizationPoint, LinearizedObservation, LocalEquations, differentiate_observation,
+};
 use crate::estimation::robust::Loss;
 
 /// Views whose influence is computed, at most.
@@ -47,9 +49,9 @@ pub(super) fn view_jacobians<'a>(
     let of_view = |index: &usize| {
         let seen = state.moved_observation(scene, &offsets, *index);
         let mut residuals = vec![[0.0; 2]; seen.points.len()];
-        let at = (scene.layout, &state.fixed);
-        let results = (residuals.as_mut_slice(), &mut local);
-        if !differentiate_observation(at, &seen, Loss::Squares, &mut columns, results) {
+        let at = LinearizationPoint { layout: scene.layout, state: &state.fixed };
+        let into = LinearizedObservation { residuals: &mut residuals, local: &mut local };
+        if !differentiate_observation(at, &seen, Loss::Squares, &mut columns, into) {
             return None;
         }
         let rotation = state.fixed.rig_from_board[seen.frame_set].rotation_matrix();

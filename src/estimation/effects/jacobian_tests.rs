@@ -7,7 +7,9 @@ use crate::estimation::effects::board_basis::BoardBasis;
 use crate::estimation::effects::state::{EffectsState, Scene};
 use crate::estimation::effects::system::System;
 use crate::estimation::effects::view_columns::ViewColumns;
-use crate::estimation::joint::linearize::{Columns, LocalEquations, linearize_observation};
+use crate::estimation::joint::linearize::{
+    Columns, LinearizationPoint, LinearizedObservation, LocalEquations, linearize_observation,
+};
 use crate::estimation::joint::{BoardObservation, FreeLens, Layout, State};
 use crate::estimation::robust::Loss;
 use crate::geometry::lens::{Lens, LensModel};
@@ -123,9 +125,9 @@ fn columns_are_the_derivatives_of_the_residuals() {
     let seen = world.state.moved_observation(scene, &offsets, 0);
     let (mut columns, mut local) = (Columns::default(), LocalEquations::default());
     let mut residuals = vec![[0.0; 2]; count];
-    let at = (scene.layout, &world.state.fixed);
-    let results = (residuals.as_mut_slice(), &mut local);
-    assert!(linearize_observation(at, &seen, Loss::Squares, &mut columns, results));
+    let at = LinearizationPoint { layout: scene.layout, state: &world.state.fixed };
+    let into = LinearizedObservation { residuals: &mut residuals, local: &mut local };
+    assert!(linearize_observation(at, &seen, Loss::Squares, &mut columns, into));
     let rotation = world.state.fixed.rig_from_board[0].rotation_matrix();
     let (view, mut values) = (ViewColumns::of(scene, &seen, 0), Vec::new());
     let in_plane = view.fill(&rotation, &seen, columns.values(), &mut values);
@@ -167,9 +169,9 @@ fn equations_are_the_products_of_the_columns() {
     let seen = world.state.moved_observation(scene, &offsets, 0);
     let (mut columns, mut local) = (Columns::default(), LocalEquations::default());
     let mut residuals = vec![[0.0; 2]; 30];
-    let results = (residuals.as_mut_slice(), &mut local);
-    let at = (scene.layout, &world.state.fixed);
-    assert!(linearize_observation(at, &seen, Loss::Squares, &mut columns, results));
+    let into = LinearizedObservation { residuals: &mut residuals, local: &mut local };
+    let at = LinearizationPoint { layout: scene.layout, state: &world.state.fixed };
+    assert!(linearize_observation(at, &seen, Loss::Squares, &mut columns, into));
     let rotation = world.state.fixed.rig_from_board[0].rotation_matrix();
     let (view, mut values) = (ViewColumns::of(scene, &seen, 0), Vec::new());
     let in_plane = view.fill(&rotation, &seen, columns.values(), &mut values);

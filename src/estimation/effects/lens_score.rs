@@ -13,8 +13,10 @@ use crate::geometry::lens::Lens;
 /// the images. `None` where the fit has no effects, or the other lens does not see all corners.
 pub(crate) fn costs_beside_effects(
     fit: &CameraFit,
-    (stated, rows): (&[BoardObservation], f64),
-    (layout, lens): (&Layout, Lens),
+    stated: &[BoardObservation],
+    rows: f64,
+    layout: &Layout,
+    lens: Lens,
 ) -> Option<[f64; 2]> {
     let found = fit.effects.as_ref()?;
     let (basis, good) = (&found.basis, fit.good_views());
@@ -37,7 +39,7 @@ pub(crate) fn costs_beside_effects(
     let system = System::at(scene, &state)?;
     let freedom = |lens: usize| (system.residual_count as f64) - (lens + 6 * good.len()) as f64;
     let own = found.noise_square * freedom(fit.layout.len);
-    let reduced = Reduced::of(&system, &state, (basis, layout.len), &found.variances);
+    let reduced = Reduced::of(&system, &state, basis, layout.len, &found.variances);
     let larger = |reduced: Reduced<'_>| reduced.noise_square(&state) * freedom(layout.len);
     Some([own, reduced.map_or(own, larger)])
 }

@@ -2,18 +2,17 @@
 
 use std::rc::Rc;
 
-use nalgebra::{Vector3, Vector6};
+use nalgebra::Vector6;
 
 use crate::estimation::effects::board_basis::BoardBasis;
 use crate::estimation::effects::effect::{Effect, Wanted};
 use crate::estimation::effects::effects_fit::EffectsFit;
 use crate::estimation::effects::evidence::{Posterior, Reduced, UpdatedVariances, Variances};
 use crate::estimation::effects::hints;
-use crate::estimation::effects::state::{EffectsState, Scene};
+use crate::estimation::effects::state::{EffectsState, Scene, ViewStep};
 use crate::estimation::effects::system::System;
 use crate::estimation::joint::State;
 use crate::geometry::lens::Lens;
-use crate::geometry::pose::pose_step;
 
 /// What the board's shape, or its motion, must raise the logarithm of the evidence by to be in the
 /// model: chance alone does once in a hundred times (χ² of the few variances that each has).
@@ -59,9 +58,9 @@ impl EffectSearch {
         let flat = EffectsState::flat_and_still(plain, &rough, scene.observations.len());
         let rough_scene = Scene { basis: &rough, moves: true, ..scene };
         if !wanted.shape {
-            return Self::from_state(rough_scene, flat, (wanted, false));
+            return Self::from_state(rough_scene, flat, wanted, false);
         }
-        let mut near = Self::from_state(rough_scene, flat, (wanted, false))?;
+        let mut near = Self::from_state(rough_scene, flat, wanted, false)?;
         near.settle(rough_scene, ROUGH_STEPS)?;
         let heights = rough.heights.len();
         let mut shape = vec![0.0; scene.basis.len()];
@@ -76,7 +75,7 @@ impl EffectSearch {
         let own =
             hints::own_offsets_stand_out(&near.system, noise_square) || wanted.shape_for_certain;
         let state = EffectsState { shape, ..near.state };
-        let mut next = Self::from_state(scene, state, (wanted, own))?;
+        let mut next = Self::from_state(scene, state, wanted, own)?;
         for one in &mut next.variances.0 {
             // What the rough shapes hid comes back sooner from too wide a variance.
             let found = near.variances.of(one.effect);
@@ -88,12 +87,13 @@ impl EffectSearch {
     /// From effects that were found before, of the same views.
     pub(super) fn from_found(
         scene: Scene<'_>,
-        (fixed, found): (State, &EffectsFit),
+        fixed: State,
+        found: &EffectsFit,
         wanted: Wanted,
     ) -> Option<Self> {
         let state = found.state_in(scene, fixed, wanted.motion);
         let own = found.variances.of(Effect::Own).is_some() || wanted.shape_for_certain;
-        Some(Self::from_state(scene, state, (wanted, own))?.with_variances_of(found))
+        Some(Self::from_state(scene, state, wanted, own)?.with_variances_of(found))
     }
 
     /// With the very effects that were found before, of the same views, at the minimum; with or
@@ -123,7 +123,8 @@ impl EffectSearch {
     fn from_state(
         scene: Scene<'_>,
         state: EffectsState,
-        (wanted, own): (Wanted, bool),
+        wanted: Wanted,
+        own: bool,
     ) -> Option<Self> {
         let mut effects: Vec<Effect> = Vec::new();
         if wanted.shape {
@@ -162,7 +163,7 @@ impl EffectSearch {
             shape_for_certain: false,
             motion_for_certain: false,
         };
-        Self::from_state(scene, flat, (none, false))
+        Self::from_state(scene, flat, none, false)
     }
 
     /// At the minimum with corners chosen anew, with the same effects.
@@ -213,7 +214,7 @@ impl EffectSearch {
     }
 
     fn reduced<'a>(&'a self, scene: Scene<'a>, variances: &'a Variances) -> Option<Reduced<'a>> {
-        Reduced::of(&self.system, &self.state, (scene.basis, scene.layout.len), variances)
+        Reduced::of(&self.system, &self.state, scene.basis, scene.layout.len, variances)
     }
 
     pub(super) fn posterior(&self, scene: Scene<'_>) -> Option<Posterior> {
@@ -266,27 +267,18 @@ impl EffectSearch {
     }
 
     fn stepped(&self, scene: Scene<'_>, posterior: &Posterior, part: f64) -> Option<EffectsState> {
-        let mut next = self.state.clone();
-        let mut poses = vec![[0.0; 6]; next.fixed.rig_from_board.len()];
-        for (k, view) in self.system.views.iter().enumerate() {
-            let motion = posterior.motions.get(k).copied().unwrap_or_else(Vector6::zeros);
-            let step = view.pose_step(&posterior.global, &motion) * part;
-            poses[scene.observations[view.observation].frame_set] = step.into();
-            // The motion is carried with the pose, as its derivatives are.
-            let rotation =
-                nalgebra::UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(0).into_owned());
-            let own = &mut next.motions[view.observation];
-            *own += motion * part;
-            let rotated = |at: usize, own: &Vector6<f64>| -> Vector3<f64> {
-                rotation * own.fixed_rows::<3>(at).into_owned()
-            };
-            *own = pose_step(&rotated(0, own), &rotated(3, own));
-        }
-        let lens = scene.layout.len;
-        let global: Vec<f64> = posterior.global.iter().map(|step| step * part).collect();
-        next.fixed = self.state.fixed.stepped(scene.layout, &global[..lens], &poses)?;
-        next.shape.iter_mut().zip(&global[lens..]).for_each(|(u, step)| *u += step);
-        Some(next)
+        let view_steps: Vec<ViewStep> = self
+            .system
+            .views
+            .iter()
+            .enumerate()
+            .map(|(k, view)| {
+                let motion = posterior.motions.get(k).copied().unwrap_or_else(Vector6::zeros);
+                let pose = view.pose_step(&posterior.global, &motion) * part;
+                ViewStep { observation: view.observation, pose, motion: motion * part }
+            })
+            .collect();
+        self.state.stepped(scene, &(&posterior.global * part), &view_steps)
     }
 
     /// Takes out what is not missed; answers whether anything was.

@@ -83,7 +83,8 @@ impl PointProducts {
     pub(super) fn add_to(
         &self,
         basis: &BoardBasis,
-        (global, gradient): (&mut DMatrix<f64>, &mut DVector<f64>),
+        global: &mut DMatrix<f64>,
+        gradient: &mut DVector<f64>,
     ) {
         let by_shape = by_shape(basis, &self.global);
         let (lens, shape) = (by_shape.ncols() - 1, by_shape.nrows());

@@ -54,8 +54,8 @@ impl EffectSearch {
 
     /// The logarithm of the evidence, and what each view adds to it, the globals as they are.
     fn evidences(&self, scene: Scene<'_>) -> Option<(f64, Vec<f64>)> {
-        let of = (scene.basis, scene.layout.len);
-        let reduced = Reduced::of(&self.system, &self.state, of, &self.variances)?;
+        let lens = scene.layout.len;
+        let reduced = Reduced::of(&self.system, &self.state, scene.basis, lens, &self.variances)?;
         let noise_square = reduced.noise_square(&self.state);
         let lambda = self.variances.of_motion(&self.system);
         let of_view = |view: &ViewPart| {

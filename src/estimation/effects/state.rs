@@ -1,12 +1,12 @@
 //! Values of all parameters with the board's shape and each view's motion.
 
-use nalgebra::{Point3, UnitQuaternion, Vector2, Vector3, Vector6};
+use nalgebra::{DVector, Point3, UnitQuaternion, Vector2, Vector3, Vector6};
 
 use crate::estimation::effects::board_basis::BoardBasis;
 use crate::estimation::effects::effect::Effect;
 use crate::estimation::joint::{BoardObservation, Layout, State};
 use crate::geometry::pixel::Pixel;
-use crate::geometry::pose::Pose;
+use crate::geometry::pose::{Pose, pose_step};
 
 /// The observations, and what of them is modelled.
 #[derive(Clone, Copy)]
@@ -42,6 +42,15 @@ pub(crate) struct EffectsState {
     pub(crate) motions: Vec<Vector6<f64>>,
 }
 
+/// A step of what is an observation's own.
+pub(super) struct ViewStep {
+    pub(super) observation: usize,
+    /// Rotation, translation.
+    pub(super) pose: Vector6<f64>,
+    /// As [`EffectsState::motions`].
+    pub(super) motion: Vector6<f64>,
+}
+
 /// When each corner was read, in read-outs of an image from its middle.
 pub(super) fn read_out_times(observation: &BoardObservation, scene: Scene<'_>) -> Vec<f64> {
     let time = |pixel: &Pixel| match scene.by_columns {
@@ -54,6 +63,33 @@ pub(super) fn read_out_times(observation: &BoardObservation, scene: Scene<'_>) -
 impl EffectsState {
     pub(super) fn flat_and_still(fixed: State, basis: &BoardBasis, observations: usize) -> Self {
         Self { fixed, shape: vec![0.0; basis.len()], motions: vec![Vector6::zeros(); observations] }
+    }
+
+    /// The state after a step of all globals (lens, then shape) and of some views.
+    pub(super) fn stepped(
+        &self,
+        scene: Scene<'_>,
+        global: &DVector<f64>,
+        views: &[ViewStep],
+    ) -> Option<Self> {
+        let mut next = self.clone();
+        let mut poses = vec![[0.0; 6]; next.fixed.rig_from_board.len()];
+        for view in views {
+            poses[scene.observations[view.observation].frame_set] = view.pose.into();
+            // The motion is carried with the pose, as its derivatives are.
+            let rotation =
+                UnitQuaternion::from_scaled_axis(view.pose.fixed_rows::<3>(0).clone_owned());
+            let own = &mut next.motions[view.observation];
+            *own += view.motion;
+            let rotated = |at: usize, own: &Vector6<f64>| -> Vector3<f64> {
+                rotation * own.fixed_rows::<3>(at).into_owned()
+            };
+            *own = pose_step(&rotated(0, own), &rotated(3, own));
+        }
+        let (lens, shape) = global.as_slice().split_at(scene.layout.len);
+        next.fixed = self.fixed.stepped(scene.layout, lens, &poses)?;
+        next.shape.iter_mut().zip(shape).for_each(|(u, step)| *u += step);
+        Some(next)
     }
 
     /// An observation with its points where shape and motion put them, in the board frame of the

@@ -12,7 +12,8 @@ use crate::estimation::effects::shape_products::{PointProducts, SeenPoints, by_b
 use crate::estimation::effects::six_columns::{by_inverse_transpose, take_product};
 use crate::estimation::effects::state::{EffectsState, Scene, read_out_times};
 use crate::estimation::joint::linearize::{
-    Columns, LocalEquations, differentiate_observation, linearize_observation, multiply,
+    Columns, LinearizationPoint, LinearizedObservation, LocalEquations, differentiate_observation,
+    linearize_observation, multiply,
 };
 use crate::estimation::robust::Loss;
 
@@ -88,7 +89,7 @@ impl System {
             let at = (state, offsets.as_slice(), *observation);
             views.push(system.add_view(scene, at, (&mut points, views.len()), &mut room)?);
         }
-        points.add_to(scene.basis, (&mut system.global, &mut system.gradient));
+        points.add_to(scene.basis, &mut system.global, &mut system.gradient);
         system.own_scores = points.own_scores();
         let coupling = points.coupling(scene.basis);
         let columns = if scene.moves { 12 } else { 6 };
@@ -109,11 +110,12 @@ impl System {
         room: &mut Room,
     ) -> Option<ViewProducts> {
         let seen = state.moved_observation(scene, offsets, observation);
-        let results = (self.residuals[observation].as_mut_slice(), &mut room.local);
-        let at = (scene.layout, &state.fixed);
+        let residuals = self.residuals[observation].as_mut_slice();
+        let into = LinearizedObservation { residuals, local: &mut room.local };
+        let at = LinearizationPoint { layout: scene.layout, state: &state.fixed };
         // With motion there are more columns to multiply.
         let linearize = if scene.moves { differentiate_observation } else { linearize_observation };
-        if !linearize(at, &seen, Loss::Squares, &mut room.columns, results) {
+        if !linearize(at, &seen, Loss::Squares, &mut room.columns, into) {
             return None;
         }
         self.cost += room.local.cost;

@@ -15,8 +15,8 @@
 
 use nalgebra::{Matrix2, Vector3};
 
+use crate::estimation::joint::linearize::LinearizationPoint;
 use crate::estimation::joint::normal::{ChainedPose, NormalEquations};
-use crate::estimation::joint::{Layout, State};
 use crate::geometry::depth_camera::DepthTile;
 use crate::geometry::depth_correction::{
     CorrectedQuantity, DepthCorrection, MAX_TERMS, held_inverse_depth, power_slope,
@@ -42,28 +42,31 @@ struct DepthRow {
     by_pose: [f64; 6],
 }
 
+/// A correction, and where its coefficients begin among the global parameters.
+#[derive(Clone, Copy)]
+pub(crate) struct CorrectionColumns<'a> {
+    pub(crate) correction: &'a DepthCorrection,
+    pub(crate) first: usize,
+}
+
 /// Adds the planes to the normal equations, and answers every tile's residual in standard
 /// deviations (infinite where the lens sees nothing). Where the boards' poses are not `free`, the
 /// equations only get what couples them to the rest. Of the globals' block only the upper half is
-/// added to. `correction_at` is where the correction's coefficients begin among the global
-/// parameters.
+/// added to.
 pub(crate) fn add_planes(
     equations: &mut NormalEquations,
-    (layout, state): (&Layout, &State),
-    (correction, correction_at): (&DepthCorrection, usize),
-    (observations, free): (&[PlaneObservation], bool),
+    at: LinearizationPoint<'_>,
+    correction: CorrectionColumns<'_>,
+    observations: &[PlaneObservation],
+    free: bool,
 ) -> Vec<Vec<f64>> {
+    let LinearizationPoint { layout, state } = at;
     let mut row = DepthRow { residual: 0.0, globals: Vec::new(), by_pose: [0.0; 6] };
     let residuals = observations.iter().map(|observation| {
         let chained = (observation.sensor != 0)
-            .then(|| ChainedPose::of((layout, state), observation.sensor, observation.frame_set));
+            .then(|| ChainedPose::of(layout, state, observation.sensor, observation.frame_set));
         let each = (0..observation.tiles.len()).map(|index| {
-            if !linearize_tile(
-                (layout, state),
-                (correction, correction_at),
-                (observation, index),
-                &mut row,
-            ) {
+            if !linearize_tile(at, correction, observation, index, &mut row) {
                 return f64::INFINITY;
             }
             if observation.used[index] {
@@ -78,7 +81,7 @@ pub(crate) fn add_planes(
                         (pose * by_board).into()
                     }
                 };
-                add_row(equations, (observation.frame_set, free), &row, &by_board);
+                add_row(equations, observation.frame_set, free, &row, &by_board);
             }
             row.residual
         });
@@ -89,7 +92,8 @@ pub(crate) fn add_planes(
 
 fn add_row(
     equations: &mut NormalEquations,
-    (frame_set, free): (usize, bool),
+    frame_set: usize,
+    free: bool,
     row: &DepthRow,
     by_board: &[f64; 6],
 ) {
@@ -122,11 +126,13 @@ const LEAST_GAIN: f64 = 0.1;
 /// Answers false where the lens sees nothing, the plane is edge-on, or the correction flattens
 /// depth.
 fn linearize_tile(
-    (layout, state): (&Layout, &State),
-    (correction, correction_at): (&DepthCorrection, usize),
-    (observation, index): (&PlaneObservation, usize),
+    at: LinearizationPoint<'_>,
+    CorrectionColumns { correction, first }: CorrectionColumns<'_>,
+    observation: &PlaneObservation,
+    index: usize,
     row: &mut DepthRow,
 ) -> bool {
+    let state = at.state;
     let (tile, inverse_std) = (&observation.tiles[index], observation.inverse_std[index]);
     let sensor_from_board = state.sensor_from_board(observation.sensor, observation.frame_set);
     let lens = &state.lenses[observation.sensor];
@@ -145,7 +151,7 @@ fn linearize_tile(
     row.globals.clear();
     let globals = &mut row.globals;
     correction_columns(correction, tile, |index, value| {
-        globals.push((correction_at + index, value * inverse_std));
+        globals.push((first + index, value * inverse_std));
     });
     let by_gain = -row.residual / gain;
     // The same coefficients in the same order.
@@ -153,11 +159,8 @@ fn linearize_tile(
     gain_columns(correction, tile, |_, value| {
         entries.next().into_iter().for_each(|entry| entry.1 += value * by_gain);
     });
-    add_lens_columns(
-        (layout, lens),
-        (observation.sensor, &ray, &(normal * (-inverse_std / distance))),
-        &mut row.globals,
-    );
+    let by_ray = normal * (-inverse_std / distance);
+    add_lens_columns(at, observation.sensor, &ray, &by_ray, &mut row.globals);
     let by_rotation =
         (normal.cross(&ray) - normal.cross(&translation) * plane) * (-inverse_std / distance);
     let by_translation = normal * (plane / distance * inverse_std);
@@ -231,11 +234,13 @@ fn gain_columns(correction: &DepthCorrection, tile: &DepthTile, mut put: impl Fn
 
 /// The pixel is fixed and the ray moves: ∂ray/∂parameters = −(∂pixel/∂ray)⁻¹ ∂pixel/∂parameters.
 fn add_lens_columns(
-    (layout, lens): (&Layout, &Lens),
-    (sensor, ray, by_ray): (usize, &Vector3<f64>, &Vector3<f64>),
+    at: LinearizationPoint<'_>,
+    sensor: usize,
+    ray: &Vector3<f64>,
+    by_ray: &Vector3<f64>,
     globals: &mut Vec<(usize, f64)>,
 ) {
-    let at = &layout.sensors[sensor];
+    let (lens, at) = (&at.state.lenses[sensor], &at.layout.sensors[sensor]);
     if at.lens.free.is_empty() {
         return;
     }

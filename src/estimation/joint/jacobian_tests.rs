@@ -4,7 +4,8 @@
 
 use nalgebra::{DMatrix, DVector, Point3, Vector3};
 
-use crate::estimation::joint::depth_terms::{PlaneObservation, add_planes};
+use crate::estimation::joint::depth_terms::{CorrectionColumns, PlaneObservation, add_planes};
+use crate::estimation::joint::linearize::LinearizationPoint;
 use crate::estimation::joint::normal::{NormalEquations, linearize};
 use crate::estimation::joint::{BoardObservation, FreeLens, Layout, State};
 use crate::estimation::robust::Loss;
@@ -112,7 +113,8 @@ fn numeric_jacobian(
 /// Holds the equations' blocks to JᵀJ and Jᵀr.
 fn assert_equations(
     equations: &NormalEquations,
-    (jacobian, residuals): (&DMatrix<f64>, &[f64]),
+    jacobian: &DMatrix<f64>,
+    residuals: &[f64],
     tolerance: f64,
 ) {
     let size = equations.global_gradient.len();
@@ -158,7 +160,7 @@ fn corners_have_the_derivatives_of_their_residuals() {
     let equations =
         linearize(&layout, &state, &observations, Loss::Squares).expect("all are projected");
     let residuals = residuals(&vec![0.0; count]);
-    assert_equations(&equations, (&jacobian, &residuals), TOLERANCE);
+    assert_equations(&equations, &jacobian, &residuals, TOLERANCE);
 }
 
 #[test]
@@ -203,9 +205,10 @@ fn planes_have_the_derivatives_of_their_residuals() {
             let mut equations = NormalEquations::empty(size, state.rig_from_board.len());
             let planes = add_planes(
                 &mut equations,
-                (&wider, &state),
-                (&correction, at),
-                (&observations, true),
+                LinearizationPoint { layout: &wider, state: &state },
+                CorrectionColumns { correction: &correction, first: at },
+                &observations,
+                true,
             );
             equations.mirror();
             (planes.concat(), equations)
@@ -214,6 +217,6 @@ fn planes_have_the_derivatives_of_their_residuals() {
         let jacobian = numeric_jacobian(count, |k| unit_of(&layout, k), |step| evaluate(step).0);
         let (residuals, equations) = evaluate(&vec![0.0; count]);
         assert!(residuals.iter().all(|residual| residual.is_finite()));
-        assert_equations(&equations, (&jacobian, &residuals), TILE_TOLERANCE);
+        assert_equations(&equations, &jacobian, &residuals, TILE_TOLERANCE);
     }
 }

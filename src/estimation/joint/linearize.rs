@@ -53,63 +53,57 @@ impl Columns {
 /// Columns are padded with zeros to a multiple of this: the widest vectors there are.
 const LANES: usize = 8;
 
-/// Linearizes one observation into `local`, with its unweighted residuals (in units of each
-/// corner's standard deviation) in `residuals`. Answers false where a used corner cannot be
-/// projected.
+/// Where observations are linearized.
+#[derive(Clone, Copy)]
+pub(crate) struct LinearizationPoint<'a> {
+    /// Which parameters are free.
+    pub(crate) layout: &'a Layout,
+    /// The values of all.
+    pub(crate) state: &'a State,
+}
+
+/// One observation, linearized.
+pub(crate) struct LinearizedObservation<'a> {
+    /// Per corner (projected − observed) / std, without the loss's weight.
+    pub(crate) residuals: &'a mut [[f64; 2]],
+    /// The products of its columns, and its cost.
+    pub(crate) local: &'a mut LocalEquations,
+}
+
+/// Linearizes one observation. Answers false where a used corner cannot be projected.
 pub(crate) fn linearize_observation(
-    (layout, state): (&Layout, &State),
+    at: LinearizationPoint<'_>,
     observation: &BoardObservation,
     loss: Loss,
     columns: &mut Columns,
-    (residuals, local): (&mut [[f64; 2]], &mut LocalEquations),
+    into: LinearizedObservation<'_>,
 ) -> bool {
-    visit((layout, state), observation, loss, columns, (residuals, local, true))
+    Arch::new().dispatch(Linearization { at, observation, loss, columns, into, multiplied: true })
 }
 
-/// As [`linearize_observation`], without the products of its columns: of `local` only the cost is
-/// set.
+/// As [`linearize_observation`], without the products of its columns: of the local equations only
+/// the cost is set.
 pub(crate) fn differentiate_observation(
-    (layout, state): (&Layout, &State),
+    at: LinearizationPoint<'_>,
     observation: &BoardObservation,
     loss: Loss,
     columns: &mut Columns,
-    (residuals, local): (&mut [[f64; 2]], &mut LocalEquations),
+    into: LinearizedObservation<'_>,
 ) -> bool {
-    visit((layout, state), observation, loss, columns, (residuals, local, false))
+    Arch::new().dispatch(Linearization { at, observation, loss, columns, into, multiplied: false })
 }
 
-fn visit(
-    (layout, state): (&Layout, &State),
-    observation: &BoardObservation,
-    loss: Loss,
-    columns: &mut Columns,
-    (residuals, local, multiplied): (&mut [[f64; 2]], &mut LocalEquations, bool),
-) -> bool {
-    Arch::new().dispatch(ObservationRef {
-        layout,
-        state,
-        observation,
-        loss,
-        columns,
-        residuals,
-        local,
-        multiplied,
-    })
-}
-
-struct ObservationRef<'a> {
-    layout: &'a Layout,
-    state: &'a State,
+struct Linearization<'a> {
+    at: LinearizationPoint<'a>,
     observation: &'a BoardObservation,
     loss: Loss,
     columns: &'a mut Columns,
-    residuals: &'a mut [[f64; 2]],
-    local: &'a mut LocalEquations,
+    into: LinearizedObservation<'a>,
     /// Whether its columns are multiplied with each other.
     multiplied: bool,
 }
 
-impl WithSimd for ObservationRef<'_> {
+impl WithSimd for Linearization<'_> {
     type Output = bool;
 
     /// The loops below are plain; compiled here they use the machine's widest vectors.
@@ -117,25 +111,25 @@ impl WithSimd for ObservationRef<'_> {
     fn with_simd<S: Simd>(mut self, simd: S) -> bool {
         self.transform();
         let points = [3, 4, 5].map(|k| self.columns.points[k].as_slice());
-        self.state.lenses[self.observation.sensor]
+        self.at.state.lenses[self.observation.sensor]
             .distort_columns(points, &mut self.columns.distorted);
         if !self.weigh() {
             return false;
         }
         let count = self.differentiate();
         if self.multiplied {
-            multiply_columns(simd, &self.columns.values, count, self.local);
+            multiply_columns(simd, &self.columns.values, count, self.into.local);
         }
         true
     }
 }
 
-impl ObservationRef<'_> {
+impl Linearization<'_> {
     /// The corners, rotated and moved into the sensor's frame; padded with points on the axis.
     #[inline(always)]
     fn transform(&mut self) {
         let sensor_from_board =
-            self.state.sensor_from_board(self.observation.sensor, self.observation.frame_set);
+            self.at.state.sensor_from_board(self.observation.sensor, self.observation.frame_set);
         let (r, t) = (sensor_from_board.rotation_matrix(), sensor_from_board.translation());
         let padded = self.observation.points.len().max(1).next_multiple_of(LANES);
         let [x, y, z, moved @ ..] = &mut self.columns.points;
@@ -149,9 +143,9 @@ impl ObservationRef<'_> {
             for (rotated, point) in rotated.iter_mut().zip(&self.observation.points) {
                 *rotated = row[0] * point.x + row[1] * point.y + row[2] * point.z;
             }
-            if self.layout.warp.is_some() {
+            if self.at.layout.warp.is_some() {
                 for (rotated, point) in rotated.iter_mut().zip(&self.observation.points) {
-                    *rotated += row[2] * self.state.bow(self.layout, point);
+                    *rotated += row[2] * self.at.state.bow(self.at.layout, point);
                 }
             }
             for (moved, rotated) in
@@ -165,7 +159,7 @@ impl ObservationRef<'_> {
     /// Residuals, weights and cost; false where a used corner is not projected.
     #[inline(always)]
     fn weigh(&mut self) -> bool {
-        let matrix = self.state.lenses[self.observation.sensor].matrix;
+        let matrix = self.at.state.lenses[self.observation.sensor].matrix;
         let Columns { distorted, miss: [miss_x, miss_y], factor, points, .. } = &mut *self.columns;
         let ([xs, ys], inside) = (distorted.normalized(), distorted.inside());
         for column in [&mut *miss_x, &mut *miss_y, &mut *factor] {
@@ -173,7 +167,7 @@ impl ObservationRef<'_> {
             column.resize(points[0].len(), 0.0);
         }
         let (mut cost, mut all_seen) = (0.0, true);
-        for (index, residual) in self.residuals.iter_mut().enumerate() {
+        for (index, residual) in self.into.residuals.iter_mut().enumerate() {
             let observed = self.observation.pixels[index];
             let inverse_std = self.observation.inverse_std[index];
             let miss = [
@@ -190,17 +184,17 @@ impl ObservationRef<'_> {
             }
             (miss_x[index], miss_y[index]) = (miss[0], miss[1]);
         }
-        self.local.cost = cost;
+        self.into.local.cost = cost;
         all_seen && cost.is_finite()
     }
 
     /// The weighted derivatives and residuals; answers how many columns there are.
     #[inline(always)]
     fn differentiate(&mut self) -> usize {
-        let lens_layout = &self.layout.sensors[self.observation.sensor].lens;
-        let matrix = self.state.lenses[self.observation.sensor].matrix;
+        let lens_layout = &self.at.layout.sensors[self.observation.sensor].lens;
+        let matrix = self.at.state.lenses[self.observation.sensor].matrix;
         let (free, warped) =
-            (lens_layout.free.len(), if self.layout.warp.is_some() { 2 } else { 0 });
+            (lens_layout.free.len(), if self.at.layout.warp.is_some() { 2 } else { 0 });
         let count = free + warped + 7;
         let Columns { distorted, miss, factor, points, values } = &mut *self.columns;
         let rows = 2 * factor.len();
@@ -210,7 +204,8 @@ impl ObservationRef<'_> {
         let (by_pose, residual) = rest.split_at_mut(6 * rows);
         for (parameter, column) in lens_layout.free.iter().zip(by_lens.chunks_exact_mut(rows)) {
             fill_lens_column(
-                (*parameter, lens_layout.square_pixels),
+                *parameter,
+                lens_layout.square_pixels,
                 &matrix,
                 distorted,
                 factor,
@@ -219,10 +214,12 @@ impl ObservationRef<'_> {
         }
         fill_pose_columns(points, &matrix, distorted, factor, by_pose);
         if warped == 2 {
-            let normal =
-                self.state.sensor_from_board(self.observation.sensor, self.observation.frame_set)
-                    * Vector3::z();
-            fill_warp_columns((self.layout, self.observation), normal, by_pose, by_warp);
+            let normal = self
+                .at
+                .state
+                .sensor_from_board(self.observation.sensor, self.observation.frame_set)
+                * Vector3::z();
+            fill_warp_columns(self.at.layout, self.observation, normal, by_pose, by_warp);
         }
         for (column, miss) in residual.chunks_exact_mut(factor.len()).zip(&*miss) {
             for ((value, miss), factor) in column.iter_mut().zip(miss).zip(&*factor) {
@@ -236,7 +233,8 @@ impl ObservationRef<'_> {
 /// One lens parameter's column, by its index in [`crate::geometry::lens::Lens::parameters`].
 #[inline(always)]
 fn fill_lens_column(
-    (parameter, square_pixels): (usize, bool),
+    parameter: usize,
+    square_pixels: bool,
     matrix: &CameraMatrix,
     distorted: &DistortedColumns,
     factor: &[f64],
@@ -303,7 +301,8 @@ fn fill_pose_columns(
 /// The two columns of the warp, which moves points along the board's normal.
 #[inline(always)]
 fn fill_warp_columns(
-    (layout, observation): (&Layout, &BoardObservation),
+    layout: &Layout,
+    observation: &BoardObservation,
     normal: Vector3<f64>,
     by_pose: &[f64],
     columns: &mut [f64],

@@ -67,7 +67,7 @@ impl Minimum {
         let Self { state, equations, steps } = self;
         let mut columns = Columns::default();
         let linearize =
-            |state: &State| linearize_within((layout, state), observations, loss, &mut columns);
+            |state: &State| linearize_within(layout, state, observations, loss, &mut columns);
         let stepped =
             |state: &State, step: &Step| state.stepped(layout, &step.global, &step.frame_sets);
         let (state, equations, more) =

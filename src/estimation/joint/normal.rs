@@ -4,7 +4,9 @@
 
 use nalgebra::{DMatrix, DVector, Matrix6};
 
-use crate::estimation::joint::linearize::{Columns, LocalEquations, linearize_observation};
+use crate::estimation::joint::linearize::{
+    Columns, LinearizationPoint, LinearizedObservation, LocalEquations, linearize_observation,
+};
 use crate::estimation::joint::{BoardObservation, Layout, State};
 use crate::estimation::robust::Loss;
 
@@ -49,12 +51,13 @@ pub(crate) fn linearize(
     observations: &[BoardObservation],
     loss: Loss,
 ) -> Option<NormalEquations> {
-    linearize_within((layout, state), observations, loss, &mut Columns::default())
+    linearize_within(layout, state, observations, loss, &mut Columns::default())
 }
 
 /// As [`linearize()`], in room that is there already.
 pub(crate) fn linearize_within(
-    (layout, state): (&Layout, &State),
+    layout: &Layout,
+    state: &State,
     observations: &[BoardObservation],
     loss: Loss,
     columns: &mut Columns,
@@ -68,13 +71,15 @@ pub(crate) fn linearize_within(
             return None;
         }
         let mut local = LocalEquations::default();
-        let results = (equations.residuals[index].as_mut_slice(), &mut local);
-        if !linearize_observation((layout, state), observation, loss, columns, results) {
+        let residuals = equations.residuals[index].as_mut_slice();
+        let into = LinearizedObservation { residuals, local: &mut local };
+        let at = LinearizationPoint { layout, state };
+        if !linearize_observation(at, observation, loss, columns, into) {
             return None;
         }
         equations.cost += local.cost;
-        let chained = ChainedPose::where_posed((layout, state), observation);
-        equations.add(layout, (observation.sensor, observation.frame_set), chained, &local);
+        let chained = ChainedPose::where_posed(layout, state, observation);
+        equations.add(layout, observation.sensor, observation.frame_set, chained, &local);
         equations.local.push(local);
     }
     equations.mirror();
@@ -107,7 +112,8 @@ impl NormalEquations {
     pub(crate) fn add(
         &mut self,
         layout: &Layout,
-        (sensor, frame_set): (usize, usize),
+        sensor: usize,
+        frame_set: usize,
         chained: Option<ChainedPose>,
         local: &LocalEquations,
     ) {
@@ -323,7 +329,7 @@ pub(crate) struct ChainedPose {
 }
 
 impl ChainedPose {
-    pub(crate) fn of((layout, state): (&Layout, &State), sensor: usize, frame_set: usize) -> Self {
+    pub(crate) fn of(layout: &Layout, state: &State, sensor: usize, frame_set: usize) -> Self {
         let rotation = state.sensor_from_rig[sensor].rotation_matrix();
         let lever = rotation * state.rig_from_board[frame_set].translation();
         let mut by_sensor = Matrix6::identity();
@@ -337,12 +343,13 @@ impl ChainedPose {
 
     /// That of an observation by a sensor whose pose is estimated; `None` for others.
     pub(crate) fn where_posed(
-        (layout, state): (&Layout, &State),
+        layout: &Layout,
+        state: &State,
         observation: &BoardObservation,
     ) -> Option<Self> {
         let BoardObservation { sensor, frame_set, .. } = *observation;
         layout.sensors[sensor].pose_at?;
-        Some(Self::of((layout, state), sensor, frame_set))
+        Some(Self::of(layout, state, sensor, frame_set))
     }
 }
 

@@ -1,15 +1,17 @@
 //! The normal equations of each observation separately at one state, so that those of any subset
 //! can be assembled without another pass over its corners.
 
-use crate::estimation::joint::linearize::{Columns, LocalEquations, linearize_observation};
+use crate::estimation::joint::BoardObservation;
+use crate::estimation::joint::linearize::{
+    Columns, LinearizationPoint, LinearizedObservation, LocalEquations, linearize_observation,
+};
 use crate::estimation::joint::normal::{ChainedPose, NormalEquations};
-use crate::estimation::joint::{BoardObservation, Layout, State};
 use crate::estimation::robust::Loss;
 
 /// Linearizes the observations in `which`, with plain squares: one entry per observation, empty for
 /// the others. `None` where a used corner cannot be projected.
 pub(crate) fn linearize_each(
-    (layout, state): (&Layout, &State),
+    at: LinearizationPoint<'_>,
     observations: &[BoardObservation],
     which: &[usize],
 ) -> Option<Vec<LocalEquations>> {
@@ -17,19 +19,16 @@ pub(crate) fn linearize_each(
         observations.iter().map(|_| LocalEquations::default()).collect();
     let (mut columns, mut residuals) = (Columns::default(), Vec::new());
     for index in which {
-        if layout.interrupt.is_requested() {
+        if at.layout.interrupt.is_requested() {
             return None;
         }
         let observation = &observations[*index];
         residuals.resize(observation.points.len(), [0.0; 2]);
-        let results = (residuals.as_mut_slice(), &mut local_equations[*index]);
-        if !linearize_observation(
-            (layout, state),
-            observation,
-            Loss::Squares,
-            &mut columns,
-            results,
-        ) {
+        let into = LinearizedObservation {
+            residuals: &mut residuals,
+            local: &mut local_equations[*index],
+        };
+        if !linearize_observation(at, observation, Loss::Squares, &mut columns, into) {
             return None;
         }
     }
@@ -41,19 +40,21 @@ pub(crate) fn linearize_each(
 /// `frame_sets`, that it is assembled as.
 pub(crate) fn assemble(
     local_equations: &[LocalEquations],
-    (layout, state): (&Layout, &State),
+    at: LinearizationPoint<'_>,
     observations: &[BoardObservation],
-    (parts, frame_sets): (impl Iterator<Item = (usize, usize)>, usize),
+    parts: impl Iterator<Item = (usize, usize)>,
+    frame_sets: usize,
 ) -> NormalEquations {
+    let LinearizationPoint { layout, state } = at;
     let mut equations = NormalEquations::empty(layout.len, frame_sets);
     for (index, frame_set) in parts {
         let (local, observation) = (&local_equations[index], &observations[index]);
         if local.columns == 0 {
             continue;
         }
-        let chained = ChainedPose::where_posed((layout, state), observation);
+        let chained = ChainedPose::where_posed(layout, state, observation);
         equations.cost += local.cost;
-        equations.add(layout, (observation.sensor, frame_set), chained, local);
+        equations.add(layout, observation.sensor, frame_set, chained, local);
     }
     equations.mirror();
     equations

@@ -5,7 +5,9 @@ use std::collections::BTreeSet;
 use nalgebra::{DMatrix, Matrix6, Vector3, Vector6};
 
 use crate::estimation::clustered_covariance::FitCovariance;
-use crate::estimation::joint::linearize::{Columns, LocalEquations, linearize_observation};
+use crate::estimation::joint::linearize::{
+    Columns, LinearizationPoint, LinearizedObservation, LocalEquations, linearize_observation,
+};
 use crate::estimation::joint::minimize::{Stop, walk};
 use crate::estimation::joint::normal::{ChainedPose, NormalEquations, ReducedView, Step};
 use crate::estimation::joint::{BoardObservation, FreeLens, Layout, State, moved};
@@ -262,13 +264,8 @@ impl CornerProblem {
                 self.add_offset(&mut equations, state, observation, &local);
             }
             equations.cost += local.cost;
-            let chained = ChainedPose::where_posed((&self.layout, state), observation);
-            equations.add(
-                &self.layout,
-                (observation.sensor, observation.frame_set),
-                chained,
-                &local,
-            );
+            let chained = ChainedPose::where_posed(&self.layout, state, observation);
+            equations.add(&self.layout, observation.sensor, observation.frame_set, chained, &local);
         }
         equations.mirror();
         Some(equations)
@@ -292,14 +289,9 @@ impl CornerProblem {
                 &weighted
             }
         };
-        linearize_observation(
-            (&self.layout, state),
-            observation,
-            Loss::Squares,
-            columns,
-            (&mut residuals, local),
-        )
-        .then_some(())
+        let at = LinearizationPoint { layout: &self.layout, state };
+        let into = LinearizedObservation { residuals: &mut residuals, local };
+        linearize_observation(at, observation, Loss::Squares, columns, into).then_some(())
     }
 
     /// The time offset's part of an infrared image's equations: it moves the board by its motion.
@@ -315,7 +307,7 @@ impl CornerProblem {
             return;
         };
         let ChainedPose { pose_at, by_sensor, by_board } =
-            ChainedPose::of((&self.layout, state), 1, observation.frame_set);
+            ChainedPose::of(&self.layout, state, 1, observation.frame_set);
         let velocity = by_board * Vector6::from_row_slice(&motion.step(1.0));
         let (square, gradient) = pose_part(local);
         let through = square * velocity;
@@ -363,7 +355,7 @@ impl CornerProblem {
             let part = linearized.then(|| pose_part(&local));
             if observation.sensor == 0 {
                 let ChainedPose { by_board, .. } =
-                    ChainedPose::of((&self.layout, &later), 1, observation.frame_set);
+                    ChainedPose::of(&self.layout, &later, 1, observation.frame_set);
                 let inverse =
                     part.and_then(|(square, _)| square.cholesky()).map(|factor| factor.inverse());
                 by_color[observation.frame_set] =
@@ -373,7 +365,7 @@ impl CornerProblem {
                 let both = part.zip(by_color[observation.frame_set]);
                 let variances = self.variances(observation.frame_set);
                 found.push(both.and_then(|((square, gradient), by_color)| {
-                    PoseDifference::of((&square, &gradient), &by_color, variances)
+                    PoseDifference::of(&square, &gradient, &by_color, variances)
                 }));
             }
         }

@@ -4,7 +4,8 @@ use nalgebra::{DMatrix, Matrix6};
 
 use crate::estimation::clustered_covariance::FitCovariance;
 use crate::estimation::joint::Layout;
-use crate::estimation::joint::depth_terms::{PlaneObservation, add_planes};
+use crate::estimation::joint::depth_terms::{CorrectionColumns, PlaneObservation, add_planes};
+use crate::estimation::joint::linearize::LinearizationPoint;
 use crate::estimation::joint::normal::{NormalEquations, ReducedView};
 use crate::estimation::normal_probability::normal_probability;
 use crate::estimation::rgbd::corners::CornerBlocks;
@@ -54,9 +55,10 @@ impl Planes<'_> {
         let observations = [scaled(plane, fit.tile_noise)];
         add_planes(
             &mut alone,
-            (&layout, &fit.state),
-            (&fit.correction, at),
-            (&observations, self.anchors.is_some()),
+            LinearizationPoint { layout: &layout, state: &fit.state },
+            CorrectionColumns { correction: &fit.correction, first: at },
+            &observations,
+            self.anchors.is_some(),
         );
         if let Some(anchor) = self.anchors.as_ref().and_then(|anchors| anchors.get(frame_set)) {
             let pose = &fit.state.rig_from_board[frame_set];

@@ -6,8 +6,9 @@ use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Matrix6, Point3, Vector3, Vec
 
 use crate::estimation::depth_error::Prior;
 use crate::estimation::joint::depth_terms::{
-    PlaneObservation, add_planes, correction_columns, ray,
+    CorrectionColumns, PlaneObservation, add_planes, correction_columns, ray,
 };
+use crate::estimation::joint::linearize::LinearizationPoint;
 use crate::estimation::joint::normal::{LocalBlock, NormalEquations};
 use crate::estimation::joint::{FreeLens, Layout, SensorLayout, State, moved};
 use crate::estimation::rgbd::BASE_SMOOTHNESS;
@@ -72,9 +73,11 @@ impl PlacedDepth {
     /// A camera whose depth is wrong by a scale and an offset in 1/z that nothing is known of,
     /// about the depths `seen_m`.
     pub fn new(
-        (lens, size): (Lens, ImageSize),
+        lens: Lens,
+        size: ImageSize,
         depth_from_color: Pose,
-        (reading, seen_m): (DepthReading, [f64; 2]),
+        reading: DepthReading,
+        seen_m: [f64; 2],
     ) -> Self {
         let quantity = CorrectedQuantity::InverseDepth;
         let correction = DepthCorrection::none(quantity, TERMS, SplineGrid::constant(size), seen_m);
@@ -234,9 +237,10 @@ impl PlaneNormal {
         let mut equations = NormalEquations::empty(layout.len, 1);
         let residuals = add_planes(
             &mut equations,
-            (&layout, &state),
-            (&depth.correction, depth.correction_at()),
-            (&[plane], true),
+            LinearizationPoint { layout: &layout, state: &state },
+            CorrectionColumns { correction: &depth.correction, first: depth.correction_at() },
+            &[plane],
+            true,
         );
         equations.mirror();
         let of = equations.coupling_of(0);

@@ -7,7 +7,8 @@ use nalgebra::{Matrix6, Vector3};
 
 use crate::estimation::depth_error::{JudgedTile, Prior, Smoothness, TriedCorrection};
 use crate::estimation::error::EstimationError;
-use crate::estimation::joint::depth_terms::{PlaneObservation, add_planes, ray};
+use crate::estimation::joint::depth_terms::{CorrectionColumns, PlaneObservation, add_planes, ray};
+use crate::estimation::joint::linearize::LinearizationPoint;
 use crate::estimation::joint::minimize::{Stop, walk};
 use crate::estimation::joint::normal::{LocalBlock, NormalEquations, Step};
 use crate::estimation::joint::{Layout, SensorLayout, State};
@@ -365,9 +366,13 @@ fn linearized(
     (planes, anchors): (&[PlaneObservation], Option<&[Anchor]>),
 ) -> Option<(NormalEquations, Vec<Vec<f64>>)> {
     let mut equations = NormalEquations::empty(layout.len, whole.rig.rig_from_board.len());
-    let observations = (planes, anchors.is_some());
-    let residuals =
-        add_planes(&mut equations, (layout, &whole.rig), (&whole.correction, at), observations);
+    let residuals = add_planes(
+        &mut equations,
+        LinearizationPoint { layout, state: &whole.rig },
+        CorrectionColumns { correction: &whole.correction, first: at },
+        planes,
+        anchors.is_some(),
+    );
     for plane in planes {
         if let Some(anchor) = anchors.and_then(|anchors| anchors.get(plane.frame_set)) {
             let pose = &whole.rig.rig_from_board[plane.frame_set];

@@ -125,7 +125,8 @@ impl PoseDifference {
     /// From infrared's equations (its pose's square and gradient), what color says of the pose in
     /// infrared's frame, and the pose jitter's variances.
     pub(super) fn of(
-        (square, gradient): (&Matrix6<f64>, &Vector6<f64>),
+        square: &Matrix6<f64>,
+        gradient: &Vector6<f64>,
         by_color: &Matrix6<f64>,
         prior: Vector6<f64>,
     ) -> Option<Self> {

@@ -212,7 +212,7 @@ impl Bundle {
                 by_lens += row.by_lens.tr_mul(&row.by_point);
                 add_lens(&mut matrix, &mut gradient, row, lens);
                 let Some(start) = self.pose_start(row.camera) else { continue };
-                add_pose(&mut matrix, &mut gradient, row, (start, lens));
+                add_pose(&mut matrix, &mut gradient, row, start, lens);
                 by_pose.push((start, row.by_pose.tr_mul(&row.by_point)));
             }
             for k in 0..3 {
@@ -358,7 +358,8 @@ fn add_pose(
     matrix: &mut DMatrix<f64>,
     gradient: &mut DVector<f64>,
     row: &PixelRow,
-    (start, lens): (usize, usize),
+    start: usize,
+    lens: usize,
 ) {
     for i in 0..6 {
         let column = row.by_pose.column(i);

@@ -24,7 +24,8 @@ impl SharedErrors {
     /// At the minimum `state` of `bundle`, whose observations have standard deviations √`widened`
     /// times their true ones. `steps`: whitened lens parameters by pull on all parameters.
     pub(super) fn of(
-        (bundle, state): (&Bundle, &SceneState),
+        bundle: &Bundle,
+        state: &SceneState,
         steps: &DMatrix<f64>,
         widened: f64,
     ) -> Self {
@@ -81,7 +82,7 @@ impl Clusters {
         let parts = scene_parts(&state.points);
         for (point, part) in parts.into_iter().enumerate() {
             let rows = bundle.rows(state, point);
-            let Some(influences) = influences(bundle, state, (point, &rows), steps) else {
+            let Some(influences) = influences(bundle, state, point, &rows, steps) else {
                 continue;
             };
             for (row, ImageInfluence { by_residual, kept }) in rows.iter().zip(&influences) {
@@ -179,7 +180,8 @@ struct ImageInfluence {
 fn influences(
     bundle: &Bundle,
     state: &SceneState,
-    (point, rows): (usize, &[PixelRow]),
+    point: usize,
+    rows: &[PixelRow],
     steps: &DMatrix<f64>,
 ) -> Option<Vec<ImageInfluence>> {
     let mut block = Matrix3::zeros();

@@ -52,7 +52,7 @@ pub fn lens_covariance(
     for (row, column) in kept.iter().enumerate() {
         steps.row_mut(*column).copy_from(&whitened.row(row));
     }
-    let errors = SharedErrors::of((bundle, state), &steps, widened);
+    let errors = SharedErrors::of(bundle, state, &steps, widened);
     // Priors say what they say; observations by themselves say more than their deviations do.
     let least = 1.0 / widened;
     let known = DMatrix::identity(lens, lens) - &errors.observed * (1.0 - least) + &errors.excess;

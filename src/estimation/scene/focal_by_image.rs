@@ -51,7 +51,7 @@ pub fn separate_focals(bundle: &Bundle, state: &SceneState) -> Option<FocalByIma
         let step = focal_by_image(&scaled, &state)?.log_ratios;
         let step = step.add_scalar(-step.mean());
         log_ratios += &step;
-        scale_images(&mut scaled, bundle, (&state, &log_ratios));
+        scale_images(&mut scaled, bundle, &state, &log_ratios);
         if step.amax() < SETTLED {
             break;
         }
@@ -67,7 +67,8 @@ pub fn separate_focals(bundle: &Bundle, state: &SceneState) -> Option<FocalByIma
 fn scale_images(
     scaled: &mut Bundle,
     bundle: &Bundle,
-    (state, log_ratios): (&SceneState, &DVector<f64>),
+    state: &SceneState,
+    log_ratios: &DVector<f64>,
 ) {
     let center = state.lens.matrix;
     let scaled_one = |seen: &SceneObservation| {
@@ -101,7 +102,7 @@ pub fn focal_by_image(bundle: &Bundle, state: &SceneState) -> Option<FocalByImag
             .map(|row| {
                 let by_focal =
                     row.by_lens.column(both[0]) * focal.fx + row.by_lens.column(both[1]) * focal.fy;
-                RowColumns::of(bundle, row, (by_focal, own + row.camera))
+                RowColumns::of(bundle, row, by_focal, own + row.camera)
             })
             .collect();
         add_point(bundle, state, (point, &rows, &columns), (&mut matrix, &mut gradient));
@@ -128,7 +129,7 @@ pub fn focal_by_image(bundle: &Bundle, state: &SceneState) -> Option<FocalByImag
 struct RowColumns(Vec<(usize, Vector2<f64>)>);
 
 impl RowColumns {
-    fn of(bundle: &Bundle, row: &PixelRow, (by_focal, index): (Vector2<f64>, usize)) -> Self {
+    fn of(bundle: &Bundle, row: &PixelRow, by_focal: Vector2<f64>, index: usize) -> Self {
         let lens = bundle.free.len();
         let mut columns: Vec<(usize, Vector2<f64>)> = (0..lens.min(MAX_PARAMETERS))
             .map(|k| (k, row.by_lens.column(k).into_owned()))
@@ -184,7 +185,7 @@ mod tests {
     use super::*;
     use crate::estimation::scene::bundle_tests::exact;
 
-    fn enlarged(bundle: &mut Bundle, truth: &SceneState, (camera, by): (usize, f64)) {
+    fn enlarged(bundle: &mut Bundle, truth: &SceneState, camera: usize, by: f64) {
         let center = truth.lens.matrix;
         let all = bundle.observations.iter_mut().flatten();
         for seen in all.filter(|seen| seen.camera == camera) {
@@ -199,8 +200,8 @@ mod tests {
         let (mut bundle, truth) = exact();
         bundle.free = vec![FX, FY];
         bundle.observations.iter_mut().flatten().for_each(|seen| seen.inverse_std *= 1e3);
-        enlarged(&mut bundle, &truth, (1, 1.3));
-        enlarged(&mut bundle, &truth, (2, 1.3));
+        enlarged(&mut bundle, &truth, 1, 1.3);
+        enlarged(&mut bundle, &truth, 2, 1.3);
         let found = separate_focals(&bundle, &truth).unwrap();
         let ratio = |k: usize| (found.log_ratios[k] - found.log_ratios[0]).exp();
         for (k, expected) in [(1, 1.3), (2, 1.3), (3, 1.0)] {
@@ -214,7 +215,7 @@ mod tests {
         bundle.free = vec![FX, FY];
         // As exact as it takes for priors to say nothing beside: they know fx / fy to 0.2 %.
         bundle.observations.iter_mut().flatten().for_each(|seen| seen.inverse_std *= 1e3);
-        enlarged(&mut bundle, &truth, (2, 1.0002));
+        enlarged(&mut bundle, &truth, 2, 1.0002);
         let stop = BundleStop { max_steps: 60, least_decrease: 1e-12 };
         let state = bundle.minimize(truth, stop);
         let found = focal_by_image(&bundle, &state).unwrap();

@@ -29,7 +29,8 @@ impl BoardPart {
     /// The same with what its depth image shows.
     pub(super) fn taught_by(
         &mut self,
-        (frame, detection): (&FrameFacts, &Detection),
+        frame: &FrameFacts,
+        detection: &Detection,
         depth: Option<&DepthFrame>,
     ) -> Taught {
         let taught = self.taught(frame, detection);

@@ -78,7 +78,8 @@ struct LatticeCell {
 /// `printed`: quarters by which markers are printed on the board.
 pub(super) fn seen_markers(
     view: GrayView<'_>,
-    (sheets, grid): (&Sheets, &Grid),
+    sheets: &Sheets,
+    grid: &Grid,
     payloads: &[Payload],
     printed: u8,
 ) -> Vec<SeenMarkers> {

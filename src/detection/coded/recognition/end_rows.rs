@@ -68,7 +68,7 @@ impl TargetDetector {
             let beside = BESIDE_END.min(0.5 * black);
             return rows(0)
                 .into_iter()
-                .all(|row| sheet.tags_end(row, &middles, (sheets.widths[1], beside)));
+                .all(|row| sheet.tags_end(row, &middles, sheets.widths[1], beside));
         }
         let papers: &[PaperColor] = if detection.markers.inverted {
             &[PaperColor::Bright, PaperColor::Dark]
@@ -148,7 +148,7 @@ impl<'a> SeenSheet<'a> {
     /// Whether a row of tags, with these middles, is the last: no print where the next would begin,
     /// but paper as in the gap before it. The print within and beyond is sampled `beside` the ends
     /// of tags.
-    fn tags_end(&self, row: EndRow, middles: &[f32], (gap, beside): (f32, f32)) -> bool {
+    fn tags_end(&self, row: EndRow, middles: &[f32], gap: f32, beside: f32) -> bool {
         let places = [-beside, -1.0 - 0.5 * gap, 0.5 * gap, gap + beside];
         let (mut seen, mut ending) = (0, 0);
         for &middle in middles {

@@ -75,7 +75,7 @@ pub fn recognize(image: GrayView<'_>) -> Option<RecognizedBoard> {
         let mut lattices = TargetDetector::new(template)?;
         lattices.find_map_lattice(image, LEAST_CROSSINGS, |view, sheets, grid| {
             let printed = if sheets.alternates() { 2 } else { 0 };
-            seen_markers(view, (sheets, grid), &payloads, printed)
+            seen_markers(view, sheets, grid, &payloads, printed)
                 .iter()
                 .take(MOST_READINGS)
                 .find_map(|seen| {

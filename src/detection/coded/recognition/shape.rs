@@ -10,7 +10,7 @@ pub(super) const ANY_SIDE_M: f64 = 0.025;
 
 /// Boards that have the markers of `seen` where the lattice `grid` has them, the likeliest first.
 pub(super) fn charuco_boards(seen: &SeenMarkers, grid: &Grid) -> Vec<Target> {
-    let (Some(cols), Some(lines)) = (row_length(&seen.cells, (2, 1)), lines(seen, grid)) else {
+    let (Some(cols), Some(lines)) = (row_length(&seen.cells, 2, 1), lines(seen, grid)) else {
         return Vec::new();
     };
     let [_, down] = lines;
@@ -63,7 +63,7 @@ fn firsts_of_charuco(
 
 /// The same of grids of tags with such a gap between them.
 pub(super) fn april_grids(seen: &SeenMarkers, grid: &Grid, spacing: f64) -> Vec<Target> {
-    let (Some(cols), Some(lines)) = (row_length(&seen.cells, (2, -1)), lines(seen, grid)) else {
+    let (Some(cols), Some(lines)) = (row_length(&seen.cells, 2, -1), lines(seen, grid)) else {
         return Vec::new();
     };
     let [across, down] = lines;
@@ -95,7 +95,7 @@ pub(super) fn april_grids(seen: &SeenMarkers, grid: &Grid, spacing: f64) -> Vec<
 
 /// By how much the numbers of markers differ from one row to the one `step.0` cells on, if they rise
 /// by one along a row; of rows numbered upward `step.1` is −1.
-fn row_length(cells: &[MarkedCell], (step, upward): (i32, i64)) -> Option<u32> {
+fn row_length(cells: &[MarkedCell], step: i32, upward: i64) -> Option<u32> {
     let mut lengths: Vec<i64> = Vec::new();
     for cell in cells {
         for other in cells {
@@ -132,14 +132,14 @@ mod tests {
     #[test]
     fn numbers_rise_by_the_length_of_a_row() {
         let board = cells(&[((0, 0), 3), ((2, 0), 4), ((0, 2), 10), ((2, 2), 11), ((4, 0), 17)]);
-        assert_eq!(row_length(&board, (2, 1)), Some(7));
-        assert_eq!(row_length(&board, (2, -1)), None);
+        assert_eq!(row_length(&board, 2, 1), Some(7));
+        assert_eq!(row_length(&board, 2, -1), None);
     }
 
     #[test]
     fn copies_of_one_marker_have_no_row_length() {
-        assert_eq!(row_length(&cells(&[((0, 0), 5), ((0, 2), 5)]), (2, 1)), None);
-        assert_eq!(row_length(&cells(&[((0, 0), 5)]), (2, 1)), None);
-        assert_eq!(row_length(&[], (2, 1)), None);
+        assert_eq!(row_length(&cells(&[((0, 0), 5), ((0, 2), 5)]), 2, 1), None);
+        assert_eq!(row_length(&cells(&[((0, 0), 5)]), 2, 1), None);
+        assert_eq!(row_length(&[], 2, 1), None);
     }
 }
