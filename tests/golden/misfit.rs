@@ -288,3 +288,34 @@ fn a_measured_board_serves_the_next_calibration() {
     let refused = solve_views(&other.problem(&poses, &mut rng), &options).unwrap_err().to_string();
     assert!(refused.contains("measured board has no corner"), "{refused}");
 }
+
+/// Views in which the board moves faster than in most are further off than wrong labels would put
+/// them, until the shutter is known.
+#[test]
+fn views_that_only_a_rolling_shutter_explains_are_used() {
+    let mut lost = 0;
+    for seed in 0..24 {
+        // The same views, but for the motion.
+        let [(_, mut problem), (_, fast)] =
+            [(0.001, 0.003), (0.003, 0.01)].map(|moved| rolling(14, 700 + seed, moved));
+        for (view, fast) in problem.views.iter_mut().zip(fast.views).skip(2).step_by(4) {
+            *view = fast;
+        }
+        // No motion exchanges neighbors.
+        for pair in problem.views[5].correspondences.chunks_exact_mut(2) {
+            let [first, second] = pair else { unreachable!("pairs") };
+            std::mem::swap(&mut first.pixel, &mut second.pixel);
+        }
+        let unused = |shutter| {
+            let options = CameraOptions { shutter, ..brown().as_stated() };
+            let views = calibrate_camera(&problem, &options).unwrap().views;
+            let unused = (0..views.len()).filter(|view| views[*view].fault.is_some());
+            unused.collect::<Vec<_>>()
+        };
+        let without = unused(Shutter::Global);
+        println!("seed {seed}: unused as by a global shutter {without:?}");
+        assert_eq!(unused(Shutter::Rolling), [5], "seed {seed}");
+        lost += without.len() - 1;
+    }
+    assert!(lost >= 1, "no view is lost by a global shutter");
+}

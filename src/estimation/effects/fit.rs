@@ -99,8 +99,10 @@ pub(crate) fn fit_effects(
         }
         let residuals = std::mem::take(&mut walk.system.residuals);
         corners.limit = LIMIT * scale_of(&corners.observations, &residuals).max(ROUNDING);
+        // Where the shutter counts in part, such views would spoil what is without it.
+        let readmitted = round == 0 && without.is_none() && walk.readmit(whole, &mut corners);
         let Corners { observations, faults, limit } = &mut corners;
-        if !select(observations, &residuals, *limit, faults) {
+        if !select(observations, &residuals, *limit, faults) && !readmitted {
             break;
         }
         good = (0..faults.len()).filter(|view| faults[*view].is_none()).collect();

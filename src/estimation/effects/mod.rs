@@ -13,6 +13,7 @@
 //! | one view's Jacobian, dense | `view_columns` |
 //! | posterior and variances | `evidence` |
 //! | the walk to the minimum, and which effects stay | `search` |
+//! | views readmitted beside effects | `readmit` |
 //! | corners chosen anew beside effects, with and without motion | `fit` |
 //! | covariances at the end | `finish` |
 //! | what was found | `effects_fit` |
@@ -40,6 +41,7 @@ mod jacobian_tests;
 pub(crate) mod lens_score;
 mod measured;
 mod read_by_rows;
+mod readmit;
 mod search;
 mod shape_products;
 mod shutter;

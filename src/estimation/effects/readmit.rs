@@ -1,0 +1,76 @@
+//! Views tried again beside effects: until the board's shape and motion are known, a view in which
+//! the board moves fast is as far off as a mislabeled one.
+
+use std::rc::Rc;
+
+use nalgebra::{DVector, Matrix6, Vector6};
+
+use crate::estimation::effects::fit::Corners;
+use crate::estimation::effects::search::EffectSearch;
+use crate::estimation::effects::state::{EffectsState, Scene, ViewStep};
+use crate::estimation::effects::system::System;
+use crate::estimation::view_fault::ViewFault;
+
+/// Gauss-Newton steps of one view's pose and motion, from the pose that fits best without motion.
+/// Not swept.
+const STEPS: usize = 8;
+
+/// The least share of inliers of a view that is readmitted, as by the plain fit.
+const LEAST_INLIERS: f64 = 0.9;
+
+impl EffectSearch {
+    /// Readmits the views that its effects explain, with lens and shape as they are; answers
+    /// whether there are any. Outliers among their corners are still to be rejected.
+    pub(super) fn readmit(&mut self, scene: Scene<'_>, corners: &mut Corners) -> bool {
+        let basis = Rc::clone(&self.basis);
+        let mut readmitted = Vec::new();
+        for (view, fault) in corners.faults.iter().enumerate() {
+            let Some(ViewFault::Outliers { .. } | ViewFault::NoPose { .. }) = fault else {
+                continue;
+            };
+            let mut observations = corners.observations.clone();
+            observations[view].used.fill(true);
+            let good = [view];
+            let scene = Scene { observations: &observations, good: &good, ..scene };
+            if let Some(state) = self.explained(self.narrowed(scene, &basis), corners.limit) {
+                self.state = state;
+                readmitted.push(view);
+            }
+        }
+        for view in &readmitted {
+            corners.faults[*view] = None;
+            corners.observations[*view].used.fill(true);
+        }
+        !readmitted.is_empty()
+    }
+
+    /// The state in which the one view of `scene` has the pose and the motion that fit it best;
+    /// `None` where few of its corners are within the limit there. How large its motion is does not
+    /// count: the variance that the other views show is of slower ones.
+    fn explained(&self, scene: Scene<'_>, limit: f64) -> Option<EffectsState> {
+        let globals = DVector::zeros(scene.global_len());
+        let mut state = self.state.clone();
+        let mut system = System::at(scene, &state)?;
+        let lambda = self.variances.of_motion(&self.system);
+        for _ in 0..STEPS {
+            let view = system.views.first()?;
+            let motion = if scene.moves {
+                let gradient =
+                    view.motion_gradient + state.motions[view.observation].component_mul(&lambda);
+                -(view.motion + Matrix6::from_diagonal(&lambda)).cholesky()?.solve(&gradient)
+            } else {
+                Vector6::zeros()
+            };
+            let pose = view.pose_step(&globals, &motion);
+            state = state.stepped(
+                scene,
+                &globals,
+                &[ViewStep { observation: view.observation, pose, motion }],
+            )?;
+            system = System::at(scene, &state)?;
+        }
+        let residuals = &system.residuals[scene.good[0]];
+        let inliers = residuals.iter().filter(|[x, y]| x.hypot(*y) <= limit).count();
+        (inliers as f64 >= LEAST_INLIERS * residuals.len() as f64).then_some(state)
+    }
+}
