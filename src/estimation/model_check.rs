@@ -36,8 +36,8 @@ pub struct ModelCheck {
     pub misfit: Misfit,
     /// How far the board's middle seems to be off the plane of its edges by curvature along x and by
     /// curvature along y, in meters, where that explains a good part of the residuals and was not
-    /// estimated. It is tested of every set, unlike [`Misfit::peak_to_valley_m`], which is of a board
-    /// of any shape.
+    /// estimated. It is tested of every set; a board of any shape is where something else shows that
+    /// the model is wrong.
     pub board_bow_m: Option<[f64; 2]>,
     /// Whether the lens model that was asked for is too simple.
     pub lens_misfit: Option<LensMisfit>,
