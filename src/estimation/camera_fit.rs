@@ -9,7 +9,7 @@ use crate::estimation::joint::minimize::{Minimum, Stop};
 use crate::estimation::joint::{BoardObservation, FreeLens, Layout, State};
 use crate::estimation::problem::CameraOptions;
 use crate::estimation::robust::{Loss, median_scale};
-use crate::estimation::robust_fit::{ROUNDING, RobustFit, robust_fit};
+use crate::estimation::robust_fit::{ROUNDING, RobustFit, is_explained, robust_fit};
 use crate::estimation::start::{self, Prepared};
 use crate::estimation::view_fault::ViewFault;
 use crate::geometry::lens::{Lens, LensModel};
@@ -210,8 +210,7 @@ fn readmit(prepared: &Prepared, robust: &mut RobustFit, faults: &mut [Option<Vie
         let Some((pose, residuals)) = locate(prepared, view, &robust.minimum.state) else {
             continue;
         };
-        let good = residuals.iter().filter(|[x, y]| x.hypot(*y) <= robust.limit).count();
-        if 10 * good >= 9 * residuals.len() {
+        if is_explained(&residuals, robust.limit) {
             robust.minimum.state.rig_from_board[view] = pose;
             (*fault, readmitted) = (None, true);
         }

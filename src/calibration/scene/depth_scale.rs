@@ -103,8 +103,8 @@ const LEAST_NOISE_PX: f64 = 0.2;
 /// Fewer readings, or of fewer images, do not show how they differ.
 const LEAST_READINGS: usize = 30;
 const LEAST_VIEWS: usize = 3;
-/// Ratios with a greater standard deviation, as a part of themselves, are not of one scene: depth cameras measure
-/// to some per cent.
+/// Ratios with a greater standard deviation, as a part of themselves, are not of one scene: depth
+/// cameras measure to some per cent.
 const LARGEST_STD: f64 = 0.1;
 /// What depth cameras measure, in meters, with room to both sides.
 const PLAUSIBLE_M: [f64; 2] = [0.03, 100.0];

@@ -29,7 +29,8 @@ pub(crate) struct EffectVariance {
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Variances(pub(crate) Vec<EffectVariance>);
 
-/// What λ is multiplied by of an effect that is held at nothing.
+/// What λ is multiplied by of an effect that is held at nothing: its deviation is then a
+/// ten-thousandth of itself. Not swept.
 const HELD: f64 = 1e8;
 
 /// A component whose λ exceeds its information by this factor does nothing.

@@ -9,14 +9,12 @@ use crate::estimation::effects::fit::Corners;
 use crate::estimation::effects::search::EffectSearch;
 use crate::estimation::effects::state::{EffectsState, Scene, ViewStep};
 use crate::estimation::effects::system::System;
+use crate::estimation::robust_fit::is_explained;
 use crate::estimation::view_fault::ViewFault;
 
 /// Gauss-Newton steps of one view's pose and motion, from the pose that fits best without motion.
 /// Not swept.
 const STEPS: usize = 8;
-
-/// The least share of inliers of a view that is readmitted, as by the plain fit.
-const LEAST_INLIERS: f64 = 0.9;
 
 impl EffectSearch {
     /// Readmits the views that its effects explain, with lens and shape as they are; answers
@@ -69,8 +67,6 @@ impl EffectSearch {
             )?;
             system = System::at(scene, &state)?;
         }
-        let residuals = &system.residuals[scene.good[0]];
-        let inliers = residuals.iter().filter(|[x, y]| x.hypot(*y) <= limit).count();
-        (inliers as f64 >= LEAST_INLIERS * residuals.len() as f64).then_some(state)
+        is_explained(&system.residuals[scene.good[0]], limit).then_some(state)
     }
 }
