@@ -54,11 +54,12 @@ device-test: $(VENV)/installed
 	cargo test $(FEATURES) --test device --no-run
 	timeout --kill-after=10 900 cargo test $(FEATURES) --test device
 
-# The RealSense library itself, on recordings: a real one, and one that it makes.
+# The RealSense library itself, on recordings: a real one, and one that it makes. With the features of
+# the other tests, so that their dependencies serve.
 realsense-test: $(VENV)/installed
 	export PATH="$(CURDIR)/$(VENV)/bin:$$PATH" && environment="$$(tests/device/realsense_library.sh)" && eval "$$environment" && \
-	cargo test --features realsense --test realsense --no-run && \
-	timeout --kill-after=10 600 cargo test --features realsense --test realsense
+	cargo test $(FEATURES),realsense --test realsense --no-run && \
+	timeout --kill-after=10 600 cargo test $(FEATURES),realsense --test realsense
 
 # Coverage-guided fuzzing of everything that is read, for so many seconds; see tests/fuzz/README.md.
 SECONDS ?= 600
