@@ -9,7 +9,7 @@ use crate::calibration::observations::CameraFrameSets;
 use crate::calibration::result::{
     CalibratedSensor, CalibratedView, Calibration, Extrinsics, Grade, ImageCalibration, Verdict,
 };
-use crate::calibration::rgbd_calibration::{color_from_depth, judged_with_depth};
+use crate::calibration::rgbd_calibration::{color_from_depth, halves_of_depth, judged_with_depth};
 use crate::calibration::rgbd_input::RgbdInput;
 use crate::calibration::rig_input::{RigInput, RigSensorInput};
 use crate::calibration::sensor::SensorId;
@@ -134,6 +134,7 @@ impl<'a> Member<'a> {
             _ => None,
         };
         let of_own = kept.unwrap_or(&solved.joint);
+        let of_own_halves = if refitted.is_none() { halves_of_depth(solved) } else { Vec::new() };
         let (estimate, known) = match (refitted, placed, infrared) {
             (Some(refitted), Some((_, known)), Some(infrared)) => {
                 let depth_covariance = covariance(infrared);
@@ -144,7 +145,10 @@ impl<'a> Member<'a> {
         };
         let depth = DepthCalibration::of(&estimate, own.depth.invalid);
         let clean = Verdict { grade: Grade::Good, reasons: Vec::new() };
-        let verdict = judged_with_depth(clean, own, solved, &estimate, &depth);
+        let mut verdict = judged_with_depth(clean, own, solved, &estimate, &depth);
+        for apart in of_own_halves {
+            verdict.lower(apart.grade, apart.reason);
+        }
         whole.sensors.push(CalibratedSensor::depth(self.camera.name.as_deref(), depth));
         whole.extrinsics.push(known);
         whole.verdict.grade = whole.verdict.grade.min(verdict.grade);

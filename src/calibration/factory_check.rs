@@ -12,7 +12,8 @@ use nalgebra::{DMatrix, Matrix6, Vector3};
 use crate::estimation::board_pose::board_poses;
 use crate::estimation::depth_error::JudgedTile;
 use crate::estimation::problem::BoardView;
-use crate::estimation::rgbd::{RgbdEstimate, RgbdProblem, RgbdView, calibrate_rgbd};
+use crate::estimation::rgbd::halves::RgbdHalves;
+use crate::estimation::rgbd::{RgbdEstimate, RgbdProblem, RgbdView};
 use crate::geometry::depth_camera::{DepthCamera, DepthTile, PosedDepthLens};
 use crate::geometry::lens::Lens;
 use crate::geometry::pose::Pose;
@@ -41,30 +42,19 @@ pub struct FactoryCheck {
 const SURE: f64 = 2.0;
 
 impl FactoryCheck {
-    /// Compares `estimate` with the factory's lens and pose. `None` where no view has both color
-    /// and depth of the board.
+    /// Compares `estimate`, and what `halves` of its views give, with the factory's lens and pose.
+    /// `None` where no view has both color and depth of the board.
     pub fn of(
         problem: &RgbdProblem,
         estimate: &RgbdEstimate,
+        halves: &RgbdHalves,
         factory: PosedDepthLens,
     ) -> Option<Self> {
         let PosedDepthLens { lens, depth_from_color } = factory;
         let camera = DepthCamera { lens, correction: None, ..problem.depth.clone() };
         let color_from_depth = depth_from_color.inverse();
-        let together = |index: &usize| !estimate.not_together.contains(index);
-        let usable = |index: &usize| {
-            let view = &problem.views[*index];
-            together(index) && !view.color.is_empty() && !view.tiles.is_empty()
-        };
-        let usable: Vec<usize> = (0..problem.views.len()).filter(usable).collect();
-        let halves =
-            [0, 1].map(|half| usable.iter().copied().skip(half).step_by(2).collect::<Vec<usize>>());
         let (mut factory, mut own) = (Squares::default(), Squares::default());
-        for (held_out, fitted) in [(&halves[0], &halves[1]), (&halves[1], &halves[0])] {
-            let views = fitted.iter().map(|index| problem.views[*index].clone()).collect();
-            // What color alone knows it knows from all views.
-            let half = RgbdProblem { views, color_covariance: None, ..problem.clone() };
-            let half = calibrate_rgbd(&half).ok();
+        for (held_out, half) in halves.views.iter().zip(halves.estimates.iter().rev()) {
             for index in held_out {
                 let view = &problem.views[*index];
                 // The factory's depth against where the joint solve has the board; what the other
@@ -88,7 +78,8 @@ impl FactoryCheck {
         let is_better = factory * factory > own * own + (SURE * open).powi(2);
         let kept = (!is_better)
             .then(|| Box::new(as_the_factory_has_it(problem, estimate, camera, color_from_depth)));
-        Some(Self { factory, own, views: usable.len(), open, kept })
+        let views = halves.views.iter().map(Vec::len).sum();
+        Some(Self { factory, own, views, open, kept })
     }
 
     /// The proof in one line.

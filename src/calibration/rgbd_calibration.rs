@@ -5,17 +5,21 @@ use nalgebra::DMatrix;
 use crate::calibration::depth_calibration::{DepthCalibration, judge_depth};
 use crate::calibration::factory_check::FactoryCheck;
 use crate::calibration::result::{
-    CalibratedSensor, Calibration, Extrinsics, Grade, ImageCalibration, PoseStd, Verdict,
+    CalibratedSensor, Calibration, Extrinsics, Finding, Grade, ImageCalibration, PoseStd, Verdict,
 };
 use crate::calibration::rgbd_guess::ViewWithoutDepth;
 use crate::calibration::rgbd_input::RgbdInput;
 use crate::calibration::sensor::SensorId;
 use crate::calibration::solve::{SolvedCamera, uncertainty_over};
 use crate::calibration::solve_rgbd::SolvedRgbd;
+use crate::calibration::verdict::SPLIT_HALF;
 use crate::estimation::board_pose::board_poses;
 use crate::estimation::depth_error::JudgedTile;
 use crate::estimation::problem::{BoardView, Correspondence};
 use crate::estimation::rgbd::RgbdEstimate;
+use crate::estimation::rgbd::halves::{LensDifference, RgbdDifference};
+use crate::estimation::rig::SensorHalves;
+use crate::estimation::split_halves::PoseDifference;
 use crate::geometry::depth_camera::DepthReading;
 use crate::geometry::lens::Lens;
 use crate::geometry::median::median;
@@ -41,10 +45,14 @@ pub fn with_depth(
     if let Some(color) = calibration.image_mut(SensorKind::Color) {
         set_lens(color, joint.color, &joint.color_covariance);
         seen.place(color, &solved.color, SensorKind::Color);
-        calibration.verdict = solved.color.verdict_of(color);
+        let halves = solved.halves.map(|halves| halves.color);
+        calibration.verdict = in_halves(&solved.color, halves).verdict_of(color);
     }
     // What views that were held out of color's own solve say is not said of this one.
     calibration.checks.held_out_rms_px = None;
+    if let Some(halves) = &solved.halves {
+        calibration.checks.split_half_ratio = halves.ratio();
+    }
     calibration.extrinsics = vec![extrinsics(SensorKind::Depth, of_depth)];
     if let Some(mut infrared) = solved.infrared.clone() {
         set_lens(&mut infrared.sensor, joint.depth.lens, &joint.depth_covariance);
@@ -52,13 +60,17 @@ pub fn with_depth(
         infrared.sensor.board_shape = solved.color.sensor.board_shape.clone();
         infrared.sensor.board_warp_m = solved.color.sensor.board_warp_m;
         seen.place(&mut infrared.sensor, &alone, SensorKind::Infrared);
-        let of_infrared = alone.verdict_of(&infrared.sensor);
+        let halves = solved.halves.and_then(|halves| halves.depth);
+        let of_infrared = in_halves(&alone, halves).verdict_of(&infrared.sensor);
         let id = SensorId::own(SensorKind::Infrared);
         calibration.add_sensor(CalibratedSensor::image(id, infrared.sensor));
         calibration.extrinsics.push(extrinsics(SensorKind::Infrared, joint));
         calibration.verdict = both(calibration.verdict, of_infrared);
     }
     calibration.verdict = judged_with_depth(calibration.verdict, input, solved, of_depth, &depth);
+    for apart in halves_of_depth(solved) {
+        calibration.verdict.lower(apart.grade, apart.reason);
+    }
     calibration.add_sensor(CalibratedSensor::depth(None, depth));
     calibration
 }
@@ -90,6 +102,40 @@ pub(super) fn judged_with_depth(
     }
     verdict.reasons.extend(solved.factory.as_ref().map(FactoryCheck::line));
     judge_depth(verdict, depth, solved.without_depth.len(), views_with_depth)
+}
+
+/// A sensor that was solved by itself, with what halves of the views say of the joint solve.
+fn in_halves(alone: &SolvedCamera, halves: Option<LensDifference>) -> SolvedCamera {
+    let mut solved = alone.clone();
+    if let Some(LensDifference { ratio, focal_change }) = halves {
+        let (lens_ratio, pose, held_out_rms_px) = (ratio, None, None);
+        solved.take_halves(&SensorHalves { lens_ratio, focal_change, pose, held_out_rms_px });
+    }
+    solved
+}
+
+/// What two halves of the views say of depth's place, and of its lens where only planes show it.
+pub(super) fn halves_of_depth(solved: &SolvedRgbd) -> Vec<Finding> {
+    let Some(RgbdDifference { depth, color_from_depth, .. }) = solved.halves else {
+        return Vec::new();
+    };
+    let advice = "add views, tilted, near and far, and hold the board still for each";
+    let place = color_from_depth.and_then(|PoseDifference { ratio, rotation_rad, translation_m }| {
+        let (rotation_deg, translation_mm) = (rotation_rad.to_degrees(), 1e3 * translation_m);
+        let reason = format!(
+            "two halves of the views put depth {ratio:.1} times as far apart as their uncertainties predict ({rotation_deg:.2}°, {translation_mm:.1} mm): {advice}"
+        );
+        Finding::worse_than_good(Grade::of_figure(ratio, SPLIT_HALF), reason)
+    });
+    let by_planes = depth.filter(|_| solved.infrared.is_none());
+    let lens = by_planes.and_then(|LensDifference { ratio, focal_change }| {
+        let (ratio, percent) = (ratio?, 100.0 * focal_change);
+        let reason = format!(
+            "two halves of the views differ in depth's lens {ratio:.1} times as much as their uncertainties predict (fx by {percent:.2} %): {advice}"
+        );
+        Finding::worse_than_good(Grade::of_figure(ratio, SPLIT_HALF), reason)
+    });
+    place.into_iter().chain(lens).collect()
 }
 
 /// Where depth is in color's frame, by the device alone.

@@ -5,12 +5,14 @@ use crate::calibration::rig_input::RigInput;
 use crate::calibration::rig_member::Alone;
 use crate::calibration::sensor::SensorId;
 use crate::calibration::solve::sensor_calibration;
+use crate::calibration::verdict::SPLIT_HALF;
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::consistent_labels::consistent_labels;
 use crate::estimation::error::EstimationError;
 use crate::estimation::measured_board::MeasuredBoard;
 use crate::estimation::problem::LensChoice;
-use crate::estimation::rig::{RigProblem, RigSensor, SensorPose, calibrate_rig};
+use crate::estimation::rig::{RigProblem, RigSensor, SensorHalves, SensorPose, calibrate_rig};
+use crate::estimation::split_halves::PoseDifference;
 use crate::geometry::pose::Pose;
 
 /// Cameras that were solved together.
@@ -19,6 +21,8 @@ pub(super) struct Joint {
     pub(super) extrinsics: Vec<Extrinsics>,
     /// For each sensor: its noise together with the others over that by itself.
     rms_ratio: Vec<f64>,
+    /// For each sensor, where there are enough frame sets.
+    pub(super) halves: Vec<SensorHalves>,
 }
 
 impl Joint {
@@ -93,6 +97,7 @@ impl Joint {
                 .map(|(one, pose)| reference_from(reference, &one.input.id, pose))
                 .collect(),
             rms_ratio: rms_ratio.collect(),
+            halves: estimate.halves,
         })
     }
 
@@ -131,7 +136,18 @@ impl Joint {
                 Finding { grade: Grade::Usable, reason }
             })
         });
-        misfitting.chain(open).collect()
+        let apart = self.halves.iter().enumerate().filter_map(|(member, halves)| {
+            let PoseDifference { ratio, rotation_rad, translation_m } = halves.pose?;
+            let (rotation_deg, translation_mm) = (rotation_rad.to_degrees(), 1e3 * translation_m);
+            Finding::worse_than_good(
+                Grade::of_figure(ratio, SPLIT_HALF),
+                format!(
+                    "two halves of the frame sets put camera `{}` {ratio:.1} times as far apart as their uncertainties predict ({rotation_deg:.3}°, {translation_mm:.2} mm): check that all cameras are fixed to each other and take their images at the same time",
+                    name(member)
+                ),
+            )
+        });
+        misfitting.chain(open).chain(apart).collect()
     }
 }
 

@@ -17,6 +17,7 @@ use crate::estimation::error::EstimationError;
 use crate::estimation::interrupt::Interrupt;
 use crate::estimation::model_check::ModelCheck;
 use crate::estimation::problem::CameraProblem;
+use crate::estimation::rig::SensorHalves;
 use crate::estimation::uncertainty::{
     Distance, MedianAndWorst, PixelGrid, UncertaintyMap, projection_uncertainty,
 };
@@ -49,9 +50,15 @@ struct VerdictBasis {
 }
 
 impl VerdictBasis {
-    fn verdict(&self, estimate: &CameraEstimate, uncertainty: Option<&UncertaintyMap>) -> Verdict {
+    fn verdict(
+        &self,
+        estimate: &CameraEstimate,
+        uncertainty: Option<&UncertaintyMap>,
+        shutter_in_model: bool,
+    ) -> Verdict {
         let Self { model_check, coverage, square_pixels } = self;
-        let mut verdict = verdict::judge(estimate, uncertainty, model_check, coverage);
+        let mut verdict =
+            verdict::judge(estimate, uncertainty, model_check, coverage, shutter_in_model);
         if let Some(doubt) = verdict::square_pixels(estimate).filter(|_| *square_pixels) {
             verdict.lower(Grade::Usable, doubt);
         }
@@ -60,10 +67,21 @@ impl VerdictBasis {
 }
 
 impl SolvedCamera {
+    /// Takes what two halves of the views say from a solve with other sensors.
+    pub(super) fn take_halves(&mut self, halves: &SensorHalves) {
+        let check = &mut self.basis.model_check;
+        check.split_half_ratio = halves.lens_ratio;
+        check.focal_change = Some(halves.focal_change);
+        check.held_out_rms_px = halves.held_out_rms_px;
+        self.checks.split_half_ratio = halves.lens_ratio;
+        self.checks.held_out_rms_px = halves.held_out_rms_px;
+    }
+
     /// The verdict with the uncertainty of `sensor`, which a solve with other sensors made smaller.
     pub(super) fn verdict_of(&self, sensor: &ImageCalibration) -> Verdict {
         let uncertainty = sensor_uncertainty(sensor, UNCERTAINTY_COLUMNS, Distance::Infinity);
-        self.basis.verdict(&self.estimate, uncertainty.as_ref())
+        let shutter_in_model = sensor.rolling_shutter.is_some();
+        self.basis.verdict(&self.estimate, uncertainty.as_ref(), shutter_in_model)
     }
 
     /// The calibration that it amounts to, of an instrument that is this one sensor.
@@ -98,7 +116,7 @@ pub fn solve_views(
         (sensor.board_warp_m, sensor.board_shape) = (Some(given.bow_m), Some(given.clone()));
     }
     let basis = VerdictBasis { model_check, coverage, square_pixels: options.square_pixels };
-    let verdict = basis.verdict(&estimate, uncertainty.as_ref());
+    let verdict = basis.verdict(&estimate, uncertainty.as_ref(), true);
     Ok(SolvedCamera { sensor, checks, verdict, estimate, basis })
 }
 
@@ -117,7 +135,7 @@ pub(super) fn solve_dlt(
     let uncertainty = uncertainty_map(&estimate, UNCERTAINTY_COLUMNS, Distance::Infinity);
     let sensor = with_uncertainty(&estimate, uncertainty.as_ref());
     let basis = VerdictBasis { model_check: ModelCheck::default(), coverage, square_pixels: false };
-    let verdict = basis.verdict(&estimate, uncertainty.as_ref());
+    let verdict = basis.verdict(&estimate, uncertainty.as_ref(), true);
     Ok(SolvedCamera { sensor, checks, verdict, estimate, basis })
 }
 

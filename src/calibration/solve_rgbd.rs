@@ -13,6 +13,7 @@ use crate::estimation::consistent_labels::{FrameSetPose, consistent_labels};
 use crate::estimation::error::EstimationError;
 use crate::estimation::measured_board::MeasuredBoard;
 use crate::estimation::problem::{BoardView, Correspondence, Shutter};
+use crate::estimation::rgbd::halves::{RgbdDifference, RgbdHalves};
 use crate::estimation::rgbd::{RgbdEstimate, RgbdProblem, RgbdView, calibrate_rgbd};
 use crate::estimation::rig::FrameSetView;
 use crate::geometry::pose::Pose;
@@ -29,6 +30,9 @@ pub struct SolvedRgbd {
     pub problem: RgbdProblem,
     /// Everything together.
     pub joint: RgbdEstimate,
+    /// How far two halves of its views differ, where there are enough, in what is reported of it:
+    /// color alone where the factory has depth, and no infrared image was seen.
+    pub halves: Option<RgbdDifference>,
     /// The comparison with the factory's statement of depth, where there is one and views with both.
     pub factory: Option<FactoryCheck>,
     /// Which frame set each view of the joint estimate is.
@@ -126,8 +130,20 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
     let (joint, measured) = solved.ok_or(RgbdError::Joint(EstimationError::NoFit))?;
     check_joint(&joint, measured.problem.depth_lens)?;
     let Measured { problem, frame_set_of_view, without_depth } = measured;
-    let factory =
-        input.depth.factory.and_then(|factory| FactoryCheck::of(&problem, &joint, factory));
+    let halves = RgbdHalves::of(&problem, &joint);
+    options.interrupt.check().map_err(RgbdError::Joint)?;
+    let factory = input
+        .depth
+        .factory
+        .and_then(|factory| FactoryCheck::of(&problem, &joint, &halves, factory));
+    let halves = halves.difference(&problem, &joint, input.color_size);
+    let of_factory = factory.as_ref().is_some_and(|factory| factory.kept.is_some());
+    let halves =
+        halves.map(
+            |halves| {
+                if of_factory && infrared.is_none() { halves.of_color_alone() } else { halves }
+            },
+        );
     let stated_infrared =
         frame_set_of_view.iter().map(|frame_set| labeled.frame_sets[*frame_set].infrared.clone());
     let stated_infrared = stated_infrared.collect();
@@ -136,6 +152,7 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
         infrared,
         problem,
         joint,
+        halves,
         factory,
         frame_set_of_view,
         stated_infrared,

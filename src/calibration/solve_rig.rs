@@ -24,7 +24,7 @@ pub struct SolvedRig {
     /// `a_from_b` of each sensor b that shares views, directly or through others, with an earlier
     /// sensor a; a is the first of those that it is connected with.
     pub extrinsics: Vec<Extrinsics>,
-    /// The worst of each figure over the sensors.
+    /// The worst of each figure over the sensors, of halves also over where they are.
     pub checks: Checks,
     /// How far to trust it.
     pub verdict: Verdict,
@@ -103,8 +103,7 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
         return Err(shifted);
     }
     let groups = connected(&alone);
-    let across = |group: &Vec<usize>| alone[group[0]].is_other_than(&alone[group[group.len() - 1]]);
-    if !groups.iter().any(across) {
+    if !groups.iter().any(|group| leads_to_another(group, &alone)) {
         return Err(RigError::NothingShared);
     }
     let mut findings = Vec::new();
@@ -115,8 +114,9 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
     let mut sensors: Vec<ImageCalibration> =
         alone.iter().map(|one| one.solved.sensor.clone()).collect();
     let mut extrinsics = Vec::new();
+    let mut worst_place: Option<f64> = None;
     for group in &groups {
-        if !across(group) {
+        if !leads_to_another(group, &alone) {
             let reason = open_place(&alone[group[0]]);
             findings.push(Finding { grade: Grade::Usable, reason });
         }
@@ -126,6 +126,11 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
         let members: Vec<&Alone<'_>> = group.iter().map(|index| &alone[*index]).collect();
         let joint = Joint::solve(input, &members, options).map_err(RigError::Joint)?;
         findings.extend(joint.findings(&members));
+        let places = joint.halves.iter().filter_map(|halves| Some(halves.pose?.ratio));
+        worst_place = places.chain(worst_place).reduce(f64::max);
+        for (index, halves) in group.iter().zip(&joint.halves) {
+            alone[*index].solved.take_halves(halves);
+        }
         for (index, sensor) in group.iter().zip(joint.sensors) {
             sensors[*index] = sensor;
         }
@@ -133,7 +138,13 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
     }
     let verdict = verdict(&alone, &sensors, findings);
     let sensors = alone.iter().zip(sensors).map(|(one, sensor)| (one.input.id.clone(), sensor));
-    Ok(SolvedRig { sensors: sensors.collect(), extrinsics, checks: checks(&alone), verdict })
+    let checks = checks(&alone, worst_place);
+    Ok(SolvedRig { sensors: sensors.collect(), extrinsics, checks, verdict })
+}
+
+/// Whether a group has another camera than its first, or another sensor of the only one.
+fn leads_to_another(group: &[usize], alone: &[Alone<'_>]) -> bool {
+    alone[group[0]].is_other_than(&alone[group[group.len() - 1]])
 }
 
 /// Two sensors that could be calibrated, of two cameras where there are as many.
@@ -200,11 +211,13 @@ fn connected(alone: &[Alone<'_>]) -> Vec<Vec<usize>> {
     groups
 }
 
-fn checks(alone: &[Alone<'_>]) -> Checks {
+/// `place_ratio`: the split-half ratio of the worst sensor's pose.
+fn checks(alone: &[Alone<'_>], place_ratio: Option<f64>) -> Checks {
     let all = || alone.iter().map(|one| &one.solved.checks);
     let worst = |figure: fn(&Checks) -> Option<f64>| all().filter_map(figure).reduce(f64::max);
+    let lens_ratio = worst(|checks| checks.split_half_ratio);
     Checks {
-        split_half_ratio: worst(|checks| checks.split_half_ratio),
+        split_half_ratio: lens_ratio.into_iter().chain(place_ratio).reduce(f64::max),
         held_out_rms_px: worst(|checks| checks.held_out_rms_px),
         outlier_fraction: worst(|checks| Some(checks.outlier_fraction)).unwrap_or(0.0),
         coverage: all().map(|checks| checks.coverage).reduce(f64::min).unwrap_or(0.0),

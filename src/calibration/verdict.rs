@@ -17,7 +17,7 @@ const KNOWN_PART: [f64; 2] = [0.95, 0.67];
 const KNOWN_TO: [f64; 2] = [0.0005, 0.00125];
 /// The split-half ratio likewise: about 1 where the model is right, and above 2 once in a hundred
 /// such sets.
-const SPLIT_HALF: [f64; 2] = [2.5, 6.0];
+pub(super) const SPLIT_HALF: [f64; 2] = [2.5, 6.0];
 /// The correlation of neighboring corners' residuals; blur and pixels alone make some.
 const CORRELATION: [f64; 2] = [0.5, 0.8];
 /// How many times larger the uncertainty is than if each corner erred by itself.
@@ -34,12 +34,14 @@ const ONE_WAY_DEG: f64 = 7.5;
 /// Uncertainties that are this many times as large are worth a word.
 const NOTABLE_WIDENING: f64 = 1.2;
 
-/// Grades a calibration and says why.
+/// Grades a calibration and says why. `shutter_in_model`: whether a rolling shutter that `estimate`
+/// has was part of the solve, as it is not where a sensor was solved with others.
 pub(crate) fn judge(
     estimate: &CameraEstimate,
     uncertainty: Option<&UncertaintyMap>,
     check: &ModelCheck,
     coverage: &Coverage,
+    shutter_in_model: bool,
 ) -> Verdict {
     let mut findings: Vec<Finding> = Vec::new();
     // Causes before what follows from them: of findings of one grade the first is to be mended
@@ -54,7 +56,7 @@ pub(crate) fn judge(
     findings.extend(rejected_corners(estimate));
     findings.extend(missing_area(coverage));
     findings.extend(flat_board(estimate));
-    findings.extend(accounted_for(estimate));
+    findings.extend(accounted_for(estimate, shutter_in_model));
     findings.extend(known_together(estimate));
     Verdict::of(findings)
 }
@@ -232,7 +234,7 @@ fn bent_board(check: &ModelCheck) -> Option<Finding> {
 }
 
 /// What is not as stated but was measured along, which takes nothing from the grade.
-fn accounted_for(estimate: &CameraEstimate) -> Vec<Finding> {
+fn accounted_for(estimate: &CameraEstimate, shutter_in_model: bool) -> Vec<Finding> {
     let board = estimate.board_shape.as_ref().map(|shape| {
         let [rms, std] = [shape.unevenness_m, shape.unevenness_std_m].map(|m| m * 1000.0);
         let rms = value_with_std(rms, std);
@@ -241,6 +243,11 @@ fn accounted_for(estimate: &CameraEstimate) -> Vec<Finding> {
     let shutter = estimate.rolling_shutter.map(|shutter| {
         let (millimeters, degrees) =
             (shutter.translation_m * 1000.0, shutter.rotation_rad.to_degrees());
+        if !shutter_in_model {
+            return format!(
+                "rolling shutter: the board moved by {millimeters:.2} mm and {degrees:.2} degrees while an image was read; all sensors together take an image as read at once, and the uncertainty has the rest: hold both still for a better result"
+            );
+        }
         if shutter.agreement < 1.0 {
             let percent = 100.0 * shutter.agreement;
             return format!(

@@ -11,12 +11,10 @@
 use nalgebra::DMatrix;
 
 use crate::estimation::camera_fit::CameraFit;
-use crate::estimation::joint::linearize::LocalEquations;
-use crate::estimation::joint::minimize::{Minimum, Stop};
-use crate::estimation::joint::per_observation::{assemble, linearize_each};
-use crate::estimation::joint::{BoardObservation, FreeLens, Layout, State};
+use crate::estimation::joint::BoardObservation;
+use crate::estimation::joint::per_observation::linearize_each;
 use crate::estimation::normal_probability::normal_probability;
-use crate::estimation::robust::Loss;
+use crate::estimation::refit::{refit, squares_under};
 use crate::estimation::uncertainty::{
     Distance, PixelGrid, projection_difference, projection_uncertainty,
 };
@@ -41,14 +39,6 @@ const MOVED_FAR: f64 = 4.0;
 /// beyond the views, so that only held-out views decide. Chosen for one chance in forty and not
 /// swept: with it 271 of 288 simulated worlds that were run once were given the true model.
 const BETTER_BEYOND_CHANCE: f64 = 2.0;
-
-/// A step's cost is as it was predicted within this part: the problem is linear there, and the step
-/// its minimum.
-const AS_PREDICTED: f64 = 0.01;
-
-/// A fit of some views is good enough for a comparison, or for halves, at 0.03 standard deviations
-/// from its minimum.
-const COMPARED: Stop = Stop { max_steps: 50, decrease: 1e-3, part: 0.0, lambda: 0.0 };
 
 /// A model's fit with its errors on held-out views.
 pub(crate) struct Trial<'a> {
@@ -184,80 +174,14 @@ pub(crate) fn held_out_squares(
     let folds = folds.min(views.len());
     let local = linearize_each(fit.minimum_point(), chosen, views)?;
     for fold in 0..folds {
-        let kept: Vec<usize> =
-            (0..views.len()).filter(|k| k % folds != fold).map(|k| views[k]).collect();
-        let lens = refit(fit, chosen, &local, &kept).state.lenses[0];
+        let kept: Vec<Vec<usize>> =
+            (0..views.len()).filter(|k| k % folds != fold).map(|k| vec![views[k]]).collect();
+        let without = refit(fit, chosen, &local, &kept).state;
         for k in (fold..views.len()).step_by(folds) {
-            squares[k] = squares_under(&lens, fit, &chosen[views[k]])?;
+            squares[k] = squares_under(&without, fit, std::iter::once(&chosen[views[k]]), 0)?;
         }
     }
     Some(squares)
-}
-
-/// The fit of some of the views, from the fit of all, from their separate equations `local`.
-pub(crate) fn refit(
-    fit: &CameraFit,
-    chosen: &[BoardObservation],
-    local: &[LocalEquations],
-    views: &[usize],
-) -> Minimum {
-    let all = &fit.robust.minimum.state;
-    let observations: Vec<BoardObservation> = views
-        .iter()
-        .enumerate()
-        .map(|(k, view)| BoardObservation { frame_set: k, ..chosen[*view].clone() })
-        .collect();
-    let state = State {
-        rig_from_board: views.iter().map(|view| all.rig_from_board[*view]).collect(),
-        ..all.clone()
-    };
-    let parts = views.iter().enumerate().map(|(k, view)| (*view, k));
-    let equations = assemble(local, fit.minimum_point(), chosen, parts, views.len());
-    let start = Minimum { state, equations, steps: 0 };
-    start.descend(&fit.layout, &observations, Loss::Squares, COMPARED)
-}
-
-/// The sum of squared pixel errors of one view at its best pose under `lens`.
-pub(crate) fn squares_under(
-    lens: &Lens,
-    fit: &CameraFit,
-    observation: &BoardObservation,
-) -> Option<f64> {
-    let all = &fit.robust.minimum.state;
-    let layout = Layout::new(
-        vec![FreeLens { model: lens.model(), free: Vec::new(), square_pixels: false }],
-        None,
-    )
-    .ended_by(&fit.layout.interrupt);
-    let pose = all.rig_from_board[observation.frame_set];
-    let state = State { lenses: vec![*lens], rig_from_board: vec![pose], ..all.clone() };
-    let observations = [BoardObservation { frame_set: 0, ..observation.clone() }];
-    let loss = Loss::Squares;
-    let mut minimum = Minimum::start(&layout, state, &observations, loss)?;
-    let step = minimum.equations.solve(0.0)?;
-    let mut residuals = minimum
-        .state
-        .stepped(&layout, &step.global, &step.frame_sets)?
-        .residuals(&layout, &observations[0]);
-    let used =
-        || observation.used.iter().enumerate().filter(|(_, used)| **used).map(|(corner, _)| corner);
-    let cost: f64 = used().map(|corner| residuals[corner]).map(|[x, y]| x * x + y * y).sum();
-    // A step that ends as it was predicted needs no second one.
-    let predicted = minimum.equations.cost - step.predicted_decrease;
-    if !cost.is_finite() || (cost - predicted).abs() > AS_PREDICTED * cost {
-        minimum = minimum.descend(
-            &layout,
-            &observations,
-            loss,
-            Stop { lambda: 0.0, decrease: 1e-4, ..Stop::default() },
-        );
-        residuals.clone_from(&minimum.equations.residuals[0]);
-    }
-    let squares = |corner: usize| {
-        residuals[corner].map(|r| (r / observation.inverse_std[corner]).powi(2)).iter().sum::<f64>()
-    };
-    let squares: f64 = used().map(squares).sum();
-    squares.is_finite().then_some(squares)
 }
 
 #[cfg(test)]

@@ -10,7 +10,7 @@
 //! | a start without any guess | [`zhang`] (closed form), `start` |
 //! | the least-squares problem itself | `joint` |
 //! | which corners and views to believe | `robust`, `robust_fit`, [`view_fault`] |
-//! | whether the model is right at all, and if not, why | [`model_check`], `misfit` |
+//! | whether the model is right at all, and if not, why | [`model_check`], [`split_halves`], `misfit` |
 //! | whether the corners of a view err together | `clustered_covariance`, `jackknife` |
 //! | color and depth as one camera | [`rgbd`], [`depth_error`] |
 //! | how far to trust a projection | [`uncertainty`] |
@@ -47,12 +47,14 @@ mod nearest_lens;
 mod normal_probability;
 pub(crate) mod planar_pose;
 pub mod problem;
+mod refit;
 pub mod rgbd;
 pub mod rig;
 pub(crate) mod robust;
 mod robust_fit;
 pub mod scene;
 mod shape_widening;
+pub mod split_halves;
 mod start;
 mod starts_from_other_lenses;
 pub(crate) mod student;

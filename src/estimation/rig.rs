@@ -14,6 +14,7 @@ use crate::estimation::lens_choice::choose_lens;
 use crate::estimation::problem::{BoardView, CameraOptions, CameraProblem, LensChoice, check};
 use crate::estimation::robust_fit::robust_fit;
 use crate::estimation::shape_widening::widening;
+use crate::estimation::split_halves::{PoseDifference, SplitHalves, StatedLens};
 use crate::estimation::start::{Prepared, mean_point};
 use crate::estimation::view_fault::ViewFault;
 use crate::geometry::median::median_pose;
@@ -61,6 +62,24 @@ pub struct RigEstimate {
     pub cameras: Vec<CameraEstimate>,
     /// Where each sensor is; the first is the identity.
     pub sensor_poses: Vec<SensorPose>,
+    /// By sensor, what two halves of the frame sets say of each other; empty with fewer than six
+    /// frame sets.
+    pub halves: Vec<SensorHalves>,
+}
+
+/// How far two halves of a rig's frame sets, fitted separately, differ in one sensor.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SensorHalves {
+    /// As [`crate::estimation::model_check::ModelCheck::split_half_ratio`]; `None` for a lens that is
+    /// not estimated.
+    pub lens_ratio: Option<f64>,
+    /// By how much the focal length differs, relative to itself.
+    pub focal_change: f64,
+    /// How far apart they put it; `None` for the first sensor, which is the rig's own frame.
+    pub pose: Option<PoseDifference>,
+    /// Root mean square error of each half's views under lenses and sensors of the other half, in
+    /// pixels.
+    pub held_out_rms_px: Option<f64>,
 }
 
 /// Where a sensor is on the rig.
@@ -123,7 +142,28 @@ pub fn calibrate_rig(problem: &RigProblem) -> Result<RigEstimate, EstimationErro
         sensor_poses.push(SensorPose { sensor_from_rig, covariance, variance_inflation });
         first_observation += camera.views.len();
     }
-    Ok(RigEstimate { cameras: estimates, sensor_poses })
+    let halves = compare_halves(&fit, &estimates, &sensor_poses);
+    Ok(RigEstimate { cameras: estimates, sensor_poses, halves })
+}
+
+/// Empty for exact corners, of which halves agree to rounding.
+fn compare_halves(
+    fit: &CameraFit,
+    cameras: &[CameraEstimate],
+    sensor_poses: &[SensorPose],
+) -> Vec<SensorHalves> {
+    let Some(halves) = SplitHalves::of(fit).filter(|_| !fit.is_exact()) else { return Vec::new() };
+    let of_sensor = |(sensor, (camera, pose)): (usize, (&CameraEstimate, &SensorPose))| {
+        let stated = StatedLens { lens: &camera.lens, covariance: &camera.lens_covariance };
+        let covariance = DMatrix::from_column_slice(6, 6, pose.covariance.as_slice());
+        SensorHalves {
+            lens_ratio: halves.lens_ratio(sensor, stated, camera.image_size),
+            focal_change: halves.focal_change(sensor, &camera.lens),
+            pose: halves.pose_difference(sensor, &covariance),
+            held_out_rms_px: halves.held_out_rms_px(sensor),
+        }
+    };
+    cameras.iter().zip(sensor_poses).enumerate().map(of_sensor).collect()
 }
 
 /// By how many times variances are greater for what is not known of the board's shape. Each sensor

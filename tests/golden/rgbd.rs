@@ -10,6 +10,7 @@ use plumb::estimation::camera::CameraOptions;
 use plumb::estimation::error::EstimationError;
 use plumb::estimation::interrupt::Interrupt;
 use plumb::estimation::problem::GivenParameter;
+use plumb::estimation::rgbd::halves::{RgbdDifference, RgbdHalves};
 use plumb::estimation::rgbd::{RgbdProblem, calibrate_rgbd};
 use plumb::geometry::board::{BoardSize, Chessboard};
 use plumb::geometry::depth_camera::PosedDepthLens;
@@ -76,6 +77,37 @@ fn predicted_and_observed_scatter_agree_by_planes_alone() {
     // What planes alone do not determine is given: a depth image without distortion.
     let rig = SeededRgbd { with_infrared: false, ..SeededRgbd::new() }.without_distortion();
     expect_predicted("by planes alone", &scatter(&rig, 12));
+}
+
+/// The halves' ratios of `runs` solves of so many views each: color's lens, depth's lens, depth's
+/// pose; the root of the mean square of each.
+fn halves_of(rig: &SeededRgbd, views: usize, runs: u64) -> [f64; 3] {
+    let mut squares = [0.0; 3];
+    for run in 0..runs {
+        let poses = rig.poses(views, &mut SeededCamera::rng(700 + run));
+        let problem = rig.problem(&poses, &mut SeededCamera::rng(800 + run));
+        let whole = calibrate_rgbd(&problem).unwrap();
+        let halves = RgbdHalves::of(&problem, &whole);
+        assert_eq!(halves.views.iter().map(Vec::len).sum::<usize>(), views);
+        let RgbdDifference { color, depth, color_from_depth } =
+            halves.difference(&problem, &whole, rig.color.size).unwrap();
+        let ratios = [color.ratio, depth.unwrap().ratio, color_from_depth.map(|pose| pose.ratio)];
+        for (sum, ratio) in squares.iter_mut().zip(ratios) {
+            *sum += ratio.unwrap().powi(2) / runs as f64;
+        }
+    }
+    squares.map(f64::sqrt)
+}
+
+#[test]
+fn halves_of_the_views_differ_as_predicted() {
+    let with_infrared = SeededRgbd::new();
+    let by_planes = SeededRgbd { with_infrared: false, ..SeededRgbd::new() }.without_distortion();
+    for (name, rig) in [("with infrared", with_infrared), ("by planes alone", by_planes)] {
+        let ratios = halves_of(&rig, 18, 20);
+        println!("{name}: color's lens, depth's lens, depth's pose {ratios:.2?}");
+        assert!(ratios.iter().all(|ratio| (0.75..1.25).contains(ratio)), "{name}: {ratios:.2?}");
+    }
 }
 
 fn against_factory(rig: &SeededRgbd, depth_from_color: Pose) -> FactoryCheck {

@@ -191,6 +191,32 @@ fn what_moves_whole_views_of_one_sensor_is_in_the_rig_s_uncertainty() {
 }
 
 #[test]
+fn halves_of_a_rig_differ_as_predicted() {
+    let (mut lens, mut pose, mut held_out, mut count) = (0.0, 0.0, 0.0, 0.0);
+    for seed in 500..530 {
+        let (problem, _) = stereo(20, seed);
+        let estimate = calibrate_rig(&problem).unwrap();
+        let [left, right] = estimate.halves[..] else { panic!("seed {seed}: no halves") };
+        assert_eq!(left.pose, None, "the left one is the rig's own frame");
+        let known = right.pose.unwrap();
+        pose += known.ratio * known.ratio;
+        lens += [left, right].map(|of| of.lens_ratio.unwrap().powi(2) / 2.0).iter().sum::<f64>();
+        count += 1.0;
+        for (halves, camera) in [left, right].iter().zip(&estimate.cameras) {
+            held_out += halves.held_out_rms_px.unwrap() / camera.rms_px / 2.0;
+        }
+    }
+    let [lens, pose] = [lens, pose].map(|sum: f64| (sum / count).sqrt());
+    held_out /= count;
+    let line =
+        format!("lenses {lens:.2} times as predicted, poses {pose:.2}; held out {held_out:.3} rms");
+    println!("{line}");
+    assert!((0.8..1.2).contains(&lens) && (0.8..1.2).contains(&pose), "{line}");
+    // Corners that were not fitted to are off by little more than those that were.
+    assert!((1.0..1.15).contains(&held_out), "{line}");
+}
+
+#[test]
 fn a_right_rig_is_not_accused() {
     // Chance makes views seem to differ seven times in a hundred, and then hardly.
     let mut widened = 0;

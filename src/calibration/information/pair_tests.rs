@@ -265,7 +265,7 @@ fn what_is_predicted_of_a_rig_is_what_its_solves_scatter_by() {
     let truth = transferred([&a, &b], &b_from_a(), middle, distance_m).unwrap();
     for seed in 0..SEEDS {
         let problem = rig_problem([&a, &b], &seen, 77 + 1000 * seed);
-        let RigEstimate { cameras, sensor_poses } = calibrate_rig(&problem).unwrap();
+        let RigEstimate { cameras, sensor_poses, .. } = calibrate_rig(&problem).unwrap();
         let found = sensor_poses[1].sensor_from_rig;
         let rotation = (found.rotation() * b_from_a().rotation().inverse()).scaled_axis();
         let translation = found.translation() - b_from_a().translation();

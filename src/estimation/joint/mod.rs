@@ -110,6 +110,16 @@ impl Layout {
         Self { sensors, warp, len, interrupt: Interrupt::default() }
     }
 
+    /// Of sensors whose lenses and poses are known: only the board's poses are estimated.
+    pub(crate) fn of_known_sensors(lenses: &[Lens]) -> Self {
+        let known = |lens: &Lens| {
+            let lens = FreeLens { model: lens.model(), free: Vec::new(), square_pixels: false };
+            SensorLayout { lens, lens_at: 0, pose_at: None }
+        };
+        let sensors = lenses.iter().map(known).collect();
+        Self { sensors, warp: None, len: 0, interrupt: Interrupt::default() }
+    }
+
     /// The same, which `interrupt` ends the iterations over.
     pub(crate) fn ended_by(self, interrupt: &Interrupt) -> Self {
         Self { interrupt: interrupt.clone(), ..self }

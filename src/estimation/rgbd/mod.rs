@@ -14,6 +14,7 @@ mod corner_starts;
 mod corners;
 mod covariance_with_shape;
 pub mod device_prior;
+pub mod halves;
 pub mod motion;
 mod plane_covariance;
 pub mod plane_information;

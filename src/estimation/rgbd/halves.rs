@@ -1,0 +1,120 @@
+//! Two disjoint halves of the views of color and depth, each calibrated by itself: how far apart
+//! lenses and poses are in units of what the halves predict.
+
+use nalgebra::DMatrix;
+
+use crate::estimation::rgbd::calibrate_rgbd;
+use crate::estimation::rgbd::problem::{DepthLens, RgbdEstimate, RgbdProblem};
+use crate::estimation::split_halves::{
+    MIN_FRAME_SETS, PoseDifference, StatedLens, projection_ratio,
+};
+use crate::geometry::lens::Lens;
+use crate::geometry::pixel::ImageSize;
+
+/// Two halves of the views and what each gives.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RgbdHalves {
+    /// The views of each, by their index in the problem: those with color and depth of one moment.
+    pub views: [Vec<usize>; 2],
+    /// What each gives; `None` where its views are too few.
+    pub estimates: [Option<RgbdEstimate>; 2],
+}
+
+/// How far the two halves differ.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RgbdDifference {
+    /// In color's lens.
+    pub color: LensDifference,
+    /// In the lens of infrared and depth, where it is estimated.
+    pub depth: Option<LensDifference>,
+    /// In where depth is.
+    pub color_from_depth: Option<PoseDifference>,
+}
+
+/// How far two halves differ in a lens.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LensDifference {
+    /// As [`crate::estimation::model_check::ModelCheck::split_half_ratio`].
+    pub ratio: Option<f64>,
+    /// By how much the focal length differs, relative to itself.
+    pub focal_change: f64,
+}
+
+impl RgbdHalves {
+    /// Of the views of `problem` that `estimate` found to be of one moment.
+    pub fn of(problem: &RgbdProblem, estimate: &RgbdEstimate) -> Self {
+        let usable = |index: &usize| {
+            let view = &problem.views[*index];
+            let together = !estimate.not_together.contains(index);
+            together && !view.color.is_empty() && !view.tiles.is_empty()
+        };
+        let mut all: Vec<usize> = (0..problem.views.len()).filter(usable).collect();
+        // Views with infrared are dealt to both halves alike.
+        all.sort_by_key(|index| problem.views[*index].infrared.is_empty());
+        let views = [0, 1].map(|half| all.iter().copied().skip(half).step_by(2).collect());
+        let estimates = [0, 1].map(|half: usize| {
+            let of_half: &Vec<usize> = &views[half];
+            let views = of_half.iter().map(|index| problem.views[*index].clone()).collect();
+            // What color alone knows it knows from all views.
+            let half = RgbdProblem { views, color_covariance: None, ..problem.clone() };
+            calibrate_rgbd(&half).ok()
+        });
+        Self { views, estimates }
+    }
+
+    /// How far they differ. `None` with fewer than six views, or where a half has no answer.
+    pub fn difference(
+        &self,
+        problem: &RgbdProblem,
+        whole: &RgbdEstimate,
+        color_size: ImageSize,
+    ) -> Option<RgbdDifference> {
+        let [Some(a), Some(b)] = &self.estimates else { return None };
+        if self.views.iter().map(Vec::len).sum::<usize>() < MIN_FRAME_SETS {
+            return None;
+        }
+        let color_covariance = &a.color_covariance + &b.color_covariance;
+        let color = LensDifference::between(
+            [&a.color, &b.color],
+            StatedLens { lens: &whole.color, covariance: &color_covariance },
+            color_size,
+        );
+        let depth_covariance = &a.depth_covariance + &b.depth_covariance;
+        let estimated = problem.depth_lens != DepthLens::Known;
+        let depth = estimated.then(|| {
+            LensDifference::between(
+                [&a.depth.lens, &b.depth.lens],
+                StatedLens { lens: &whole.depth.lens, covariance: &depth_covariance },
+                whole.depth.image_size,
+            )
+        });
+        let covariance = a.color_from_depth_covariance + b.color_from_depth_covariance;
+        let covariance = DMatrix::from_column_slice(6, 6, covariance.as_slice());
+        let color_from_depth =
+            PoseDifference::between(&a.color_from_depth, &b.color_from_depth, &covariance);
+        Some(RgbdDifference { color, depth, color_from_depth })
+    }
+}
+
+impl RgbdDifference {
+    /// The same without what concerns depth.
+    pub fn of_color_alone(self) -> Self {
+        Self { depth: None, color_from_depth: None, ..self }
+    }
+
+    /// The largest ratio.
+    pub fn ratio(&self) -> Option<f64> {
+        let depth = self.depth.and_then(|depth| depth.ratio);
+        let pose = self.color_from_depth.map(|pose| pose.ratio);
+        [self.color.ratio, depth, pose].into_iter().flatten().reduce(f64::max)
+    }
+}
+
+impl LensDifference {
+    fn between(lenses: [&Lens; 2], predicted: StatedLens<'_>, image_size: ImageSize) -> Self {
+        let focal_change =
+            (lenses[0].matrix.fx - lenses[1].matrix.fx).abs() / predicted.lens.matrix.fx;
+        let ratio = projection_ratio(lenses, predicted, image_size).filter(|it| it.is_finite());
+        Self { ratio, focal_change }
+    }
+}

@@ -1,0 +1,279 @@
+//! Two disjoint halves of the frame sets, fitted separately: how far apart lenses and poses are in
+//! units of what their uncertainties predict, and how well each half predicts the other. A camera
+//! by itself is a rig of one sensor, whose frame sets are its views.
+
+use std::ops::Range;
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::estimation::camera_fit::CameraFit;
+use crate::estimation::joint::minimize::Minimum;
+use crate::estimation::joint::normal::ReducedView;
+use crate::estimation::joint::per_observation::assemble;
+use crate::estimation::joint::{BoardObservation, State};
+use crate::estimation::refit::{refit, squares_under};
+use crate::estimation::uncertainty::{
+    Distance, PixelGrid, projection_difference, projection_uncertainty,
+};
+use crate::geometry::lens::Lens;
+use crate::geometry::pixel::ImageSize;
+use crate::geometry::pose::{Pose, pose_step};
+
+/// Minimum number of frame sets: fewer have no halves that determine a lens each.
+pub(crate) const MIN_FRAME_SETS: usize = 6;
+
+/// Columns of the grid that projections are compared on.
+const COLUMNS: u32 = 10;
+
+/// Where another lens raises the squares of a view by less than this part, what second order leaves
+/// out of it is far less.
+const NEARBY: f64 = 0.2;
+
+/// A lens as it is stated, with the covariance of all its parameters.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct StatedLens<'a> {
+    pub(crate) lens: &'a Lens,
+    pub(crate) covariance: &'a DMatrix<f64>,
+}
+
+/// How far apart two halves put a sensor.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PoseDifference {
+    /// The root of the mean square of its six numbers in units of their predicted deviations, about
+    /// 1 when the model is right.
+    pub ratio: f64,
+    /// The angle between both, in radians.
+    pub rotation_rad: f64,
+    /// The distance between both, in meters.
+    pub translation_m: f64,
+}
+
+impl PoseDifference {
+    /// Of `first` and `second`, whose difference has this `covariance` (rotation in radians about
+    /// the target's axes, then translation in meters). `None` where that is singular.
+    pub fn between(first: &Pose, second: &Pose, covariance: &DMatrix<f64>) -> Option<Self> {
+        let rotation = (second.rotation() * first.rotation().inverse()).scaled_axis();
+        let translation = second.translation() - first.translation();
+        let step = pose_step(&rotation, &translation);
+        let step = DVector::from_column_slice(step.as_slice());
+        // Radians and meters differ by orders of magnitude: in units of their own deviations.
+        let std = covariance.diagonal().map(f64::sqrt);
+        let scaled = DMatrix::from_fn(6, 6, |i, j| covariance[(i, j)] / (std[i] * std[j]));
+        let in_stds = step.component_div(&std);
+        let square = in_stds.dot(&scaled.cholesky()?.solve(&in_stds));
+        let ratio = (square / 6.0).sqrt();
+        let (rotation_rad, translation_m) = (rotation.norm(), translation.norm());
+        ratio.is_finite().then_some(Self { ratio, rotation_rad, translation_m })
+    }
+}
+
+/// The difference of the projections of two lenses, after the best compensating rotation, over what
+/// is predicted at that pixel: the root of the mean square over the image. `predicted` is a lens
+/// near both, and the covariance of their difference. `None` where nothing is seen of the image.
+pub(crate) fn projection_ratio(
+    [first, second]: [&Lens; 2],
+    predicted: StatedLens<'_>,
+    image_size: ImageSize,
+) -> Option<f64> {
+    let grid = PixelGrid::over(image_size, COLUMNS);
+    let StatedLens { lens, covariance } = predicted;
+    let predicted = projection_uncertainty(lens, covariance, grid, Distance::Infinity)?;
+    let seen = projection_difference(first, second, grid, &predicted.weights);
+    // Each pixel against its own prediction: a corner that no view reached must not drown the rest.
+    let ratios = seen.iter().zip(&predicted.square_px2).filter_map(|(seen, predicted)| {
+        let [x, y] = (*seen)?;
+        Some((x * x + y * y) / (*predicted)?)
+    });
+    let (count, sum) = ratios.fold((0.0, 0.0), |(count, sum), ratio| (count + 1.0, sum + ratio));
+    Some(f64::sqrt(sum / count))
+}
+
+/// The fits of both halves of a fit's frame sets.
+pub(crate) struct SplitHalves<'a> {
+    fit: &'a CameraFit,
+    /// The frame sets of each half, as their observations' indices.
+    frame_sets: [Vec<Vec<usize>>; 2],
+    halves: [Minimum; 2],
+}
+
+impl<'a> SplitHalves<'a> {
+    /// `None` with fewer than [`MIN_FRAME_SETS`].
+    pub(crate) fn of(fit: &'a CameraFit) -> Option<Self> {
+        let mut all = fit.some_frame_sets();
+        if all.len() < MIN_FRAME_SETS {
+            return None;
+        }
+        // Frame sets that the same sensors see are dealt to both halves alike.
+        let sensors = |frame_set: &Vec<usize>| -> Vec<usize> {
+            frame_set.iter().map(|index| fit.observations[*index].sensor).collect()
+        };
+        all.sort_by_key(sensors);
+        let half = |parity: usize| -> Vec<Vec<usize>> {
+            all.iter().skip(parity).step_by(2).cloned().collect()
+        };
+        let frame_sets = [half(0), half(1)];
+        let local = &fit.robust.minimum.equations.local;
+        let halves = [0, 1].map(|half| refit(fit, &fit.observations, local, &frame_sets[half]));
+        Some(Self { fit, frame_sets, halves })
+    }
+
+    /// The difference of both halves' projections through `sensor`, after the best compensating
+    /// rotation, over what their uncertainties predict at that pixel: the root of the mean square
+    /// over the image. `None` where these are not determined, as for a lens that is not estimated.
+    pub(crate) fn lens_ratio(
+        &self,
+        sensor: usize,
+        stated: StatedLens<'_>,
+        image_size: ImageSize,
+    ) -> Option<f64> {
+        let covariance =
+            self.lens_covariance(0, sensor, stated)? + self.lens_covariance(1, sensor, stated)?;
+        let grid = PixelGrid::over(image_size, COLUMNS);
+        let predicted = projection_uncertainty(stated.lens, &covariance, grid, Distance::Infinity)?;
+        let [a, b] = [0, 1].map(|half| &self.halves[half].state.lenses[sensor]);
+        let seen = projection_difference(a, b, grid, &predicted.weights);
+        // Each pixel against its own prediction: a corner that no view reached must not drown the
+        // rest.
+        let ratios = seen.iter().zip(&predicted.square_px2).filter_map(|(seen, predicted)| {
+            let [x, y] = (*seen)?;
+            Some((x * x + y * y) / (*predicted)?)
+        });
+        let (count, sum) =
+            ratios.fold((0.0, 0.0), |(count, sum), ratio| (count + 1.0, sum + ratio));
+        Some(f64::sqrt(sum / count))
+    }
+
+    /// By how much the focal length of `sensor` differs between the halves, relative to that of
+    /// `lens`.
+    pub(crate) fn focal_change(&self, sensor: usize, lens: &Lens) -> f64 {
+        let [a, b] = [0, 1].map(|half| self.halves[half].state.lenses[sensor].matrix.fx);
+        (a - b).abs() / lens.matrix.fx
+    }
+
+    /// How far apart the halves put `sensor` on the rig, whose pose has the covariance `stated`.
+    /// `None` for the first sensor, which is the rig's own frame.
+    pub(crate) fn pose_difference(
+        &self,
+        sensor: usize,
+        stated: &DMatrix<f64>,
+    ) -> Option<PoseDifference> {
+        let at = self.fit.layout.sensors[sensor].pose_at?;
+        let covariance = self.half_covariance(0, at..at + 6, stated)?
+            + self.half_covariance(1, at..at + 6, stated)?;
+        let [a, b] = [0, 1].map(|half| &self.halves[half].state.sensor_from_rig[sensor]);
+        PoseDifference::between(a, b, &covariance)
+    }
+
+    /// Root mean square error of the views of `sensor`, in pixels, each under what the other half
+    /// has for lenses and sensors.
+    pub(crate) fn held_out_rms_px(&self, sensor: usize) -> Option<f64> {
+        let (mut sum, mut corners) = (0.0, 0);
+        for (half, frame_sets) in self.frame_sets.iter().enumerate() {
+            let other = &self.halves[1 - half].state;
+            for frame_set in frame_sets {
+                let observations = frame_set.iter().map(|index| &self.fit.observations[*index]);
+                let own = |observation: &&BoardObservation| observation.sensor == sensor;
+                let Some(observation) = observations.clone().find(own) else { continue };
+                sum += squares_nearby(other, self.fit, frame_set)
+                    .or_else(|| squares_under(other, self.fit, observations, sensor))?;
+                corners += observation.used.iter().filter(|used| **used).count();
+            }
+        }
+        (corners > 0).then(|| (sum / corners as f64).sqrt())
+    }
+
+    /// Of all parameters of the lens of `sensor` that `half` gives.
+    fn lens_covariance(
+        &self,
+        half: usize,
+        sensor: usize,
+        stated: StatedLens<'_>,
+    ) -> Option<DMatrix<f64>> {
+        let layout = &self.fit.layout.sensors[sensor];
+        let (free, at) = (&layout.lens.free, layout.lens_at);
+        let of_free =
+            DMatrix::from_fn(free.len(), free.len(), |i, j| stated.covariance[(free[i], free[j])]);
+        let covariance = self.half_covariance(half, at..at + free.len(), &of_free)?;
+        let by_free = layout.lens.all_by_free(stated.lens);
+        Some(&by_free * covariance * by_free.transpose())
+    }
+
+    /// The covariance of the global parameters `block` that one half gives: what its own views
+    /// determine, as much wider as that of the whole, `stated`, is than corners that err by
+    /// themselves would make it.
+    fn half_covariance(
+        &self,
+        half: usize,
+        block: Range<usize>,
+        stated: &DMatrix<f64>,
+    ) -> Option<DMatrix<f64>> {
+        let (at, size) = (block.start, block.len());
+        if size == 0 {
+            return None;
+        }
+        let of = |minimum: &Minimum| -> Option<DMatrix<f64>> {
+            Some(minimum.equations.global_covariance()?.view((at, at), (size, size)).into_owned())
+        };
+        let unit = of(&self.fit.robust.minimum)?;
+        // Parameters differ by orders of magnitude: in units of their own deviations.
+        let scale: Vec<f64> = unit.diagonal().iter().map(|v| v.sqrt()).collect();
+        let scaled = |m: &DMatrix<f64>| {
+            DMatrix::from_fn(size, size, |i, j| m[(i, j)] / (scale[i] * scale[j]))
+        };
+        let from = scaled(&unit).cholesky()?.unpack();
+        let widened = scaled(stated).cholesky()?.unpack() * from.try_inverse()?;
+        let half = &widened * scaled(&of(&self.halves[half])?) * widened.transpose();
+        Some(DMatrix::from_fn(size, size, |i, j| half[(i, j)] * scale[i] * scale[j]))
+    }
+}
+
+/// The sum of squared pixel errors of a frame set of one sensor at the best pose of the board under
+/// a lens near that of the fit, to second order from what the view said there; `None` where that is
+/// not near enough, its corners have not all the same to say, or a rig has other sensors.
+fn squares_nearby(under: &State, fit: &CameraFit, frame_set: &[usize]) -> Option<f64> {
+    let [view] = *frame_set else { return None };
+    let (minimum, observation) = (&fit.robust.minimum, &fit.observations[view]);
+    let free = &fit.layout.sensors[0].lens.free;
+    let inverse_std = *observation.inverse_std.first()?;
+    if fit.layout.len > free.len()
+        || observation.inverse_std.iter().any(|other| *other != inverse_std)
+    {
+        return None;
+    }
+    let part = std::iter::once((view, 0));
+    let alone = assemble(&minimum.equations.local, fit.minimum_point(), &fit.observations, part, 1);
+    let ReducedView { information, gradient } = alone.reduced(0)?;
+    let (there, here) = (under.lenses[0].parameters(), fit.lens().parameters());
+    let moved =
+        DVector::from_iterator(free.len(), free.iter().map(|index| there[*index] - here[*index]));
+    let raised = 2.0 * gradient.dot(&moved) + moved.dot(&(&information * &moved));
+    (raised.abs() < NEARBY * alone.cost)
+        .then_some((alone.cost + raised) / (inverse_std * inverse_std))
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use super::*;
+
+    #[test]
+    fn a_difference_of_one_deviation_on_each_axis_has_ratio_one() {
+        let first =
+            Pose::from_axis_angle(Vector3::new(0.3, -0.2, 0.1), Vector3::new(0.1, 0.0, 2.0));
+        let (rotation, translation) =
+            (Vector3::new(2e-4, -1e-4, 2e-4), Vector3::new(0.3, 0.0, 0.4));
+        let second = Pose::new(
+            Pose::from_axis_angle(rotation, Vector3::zeros()).rotation() * first.rotation(),
+            first.translation() + translation,
+        );
+        let std = [2e-4, 1e-4, 2e-4, 0.3, 1.0, 0.4];
+        let covariance = DMatrix::from_fn(6, 6, |i, j| if i == j { std[i] * std[i] } else { 0.0 });
+        let difference = PoseDifference::between(&first, &second, &covariance).unwrap();
+        // Five of the six are off by one.
+        assert!((difference.ratio - (5.0_f64 / 6.0).sqrt()).abs() < 1e-9, "{difference:?}");
+        assert!((difference.rotation_rad - 3e-4).abs() < 1e-12, "{difference:?}");
+        assert!((difference.translation_m - 0.5).abs() < 1e-12, "{difference:?}");
+        assert_eq!(PoseDifference::between(&first, &second, &DMatrix::zeros(6, 6)), None);
+    }
+}
