@@ -5,7 +5,7 @@
 use nalgebra::{Matrix6, Vector3, Vector6};
 
 use crate::calibration::depth_calibration::{DepthBias, DepthCalibration};
-use crate::calibration::plane_error::{PatchError, patch_errors};
+use crate::calibration::plane_error::{BoardInDepthImage, PatchError, patch_errors};
 use crate::calibration::result::Extrinsics;
 use crate::estimation::rgbd::motion::MovingBoard;
 use crate::geometry::median::median;
@@ -153,9 +153,14 @@ impl CalibratedErrors<'_> {
     fn view(&self, board: &Target, view: &DepthView) -> Option<(Vec<SeenPatch>, bool)> {
         let MovingBoard { camera_from_board, camera_from_later, steps } = view.board;
         let patches = |color_from_board: &Pose| {
-            let camera = (&self.depth.camera, &self.color_from_depth.target_from_source);
-            let image = (&view.image, self.depth.invalid);
-            let errors = patch_errors(camera, (board, color_from_board), image);
+            let errors = patch_errors(&BoardInDepthImage {
+                camera: &self.depth.camera,
+                color_from_depth: &self.color_from_depth.target_from_source,
+                board,
+                color_from_board,
+                image: &view.image,
+                invalid: self.depth.invalid,
+            });
             let seen = |patch| SeenPatch { patch, std_m: self.patch_std_m(&patch) };
             errors.into_iter().map(seen).collect::<Vec<_>>()
         };

@@ -24,14 +24,27 @@ pub struct PlaneError {
 /// The board's surface reaches this many squares past its outer inner corners.
 const MARGIN_SQUARES: f64 = 0.8;
 
-/// The error of `image` (whose reading `invalid` means none) on a board that color sees at
-/// `color_from_board`.
-pub fn plane_error(
-    (camera, color_from_depth): (&DepthCamera, &Pose),
-    (board, color_from_board): (&Target, &Pose),
-    (image, invalid): (&DepthImage, Option<u16>),
-) -> PlaneError {
-    let plane = SeenPlane::of(camera, color_from_depth, board, color_from_board);
+/// A depth image of a board, and where color sees that board.
+#[derive(Debug, Clone, Copy)]
+pub struct BoardInDepthImage<'a> {
+    /// The depth camera.
+    pub camera: &'a DepthCamera,
+    /// Where it is in color's frame.
+    pub color_from_depth: &'a Pose,
+    /// The board.
+    pub board: &'a Target,
+    /// Where it is in color's frame.
+    pub color_from_board: &'a Pose,
+    /// The image.
+    pub image: &'a DepthImage,
+    /// The reading that means none, if there is one.
+    pub invalid: Option<u16>,
+}
+
+/// The error of each reading on the board.
+pub fn plane_error(seen: &BoardInDepthImage<'_>) -> PlaneError {
+    let BoardInDepthImage { camera, image, invalid, .. } = *seen;
+    let plane = SeenPlane::of(seen);
     let of = |(k, reading): (usize, &u16)| {
         let pixel = pixel_at(camera, k);
         let [point_in_depth, _] = plane.seen_at(pixel)?;
@@ -64,14 +77,10 @@ const PATCHES: [usize; 2] = [4, 3];
 /// Fewer readings are no patch.
 const LEAST_READINGS: usize = 12;
 
-/// The errors of corrected depth in the patches of a board that color sees at `color_from_board`;
-/// patches without readings are left out.
-pub fn patch_errors(
-    (camera, color_from_depth): (&DepthCamera, &Pose),
-    (board, color_from_board): (&Target, &Pose),
-    (image, invalid): (&DepthImage, Option<u16>),
-) -> Vec<PatchError> {
-    let plane = SeenPlane::of(camera, color_from_depth, board, color_from_board);
+/// The errors of corrected depth in the patches of the board; patches without readings are left out.
+pub fn patch_errors(seen: &BoardInDepthImage<'_>) -> Vec<PatchError> {
+    let BoardInDepthImage { camera, image, invalid, .. } = *seen;
+    let plane = SeenPlane::of(seen);
     let mut patches: Vec<Vec<(Point3<f64>, f64)>> = vec![Vec::new(); PATCHES[0] * PATCHES[1]];
     for (k, reading) in image.readings().iter().enumerate().filter(|(_, r)| Some(**r) != invalid) {
         let pixel = pixel_at(camera, k);
@@ -110,12 +119,8 @@ struct SeenPlane<'a> {
 }
 
 impl<'a> SeenPlane<'a> {
-    fn of(
-        camera: &'a DepthCamera,
-        color_from_depth: &Pose,
-        board: &Target,
-        color_from_board: &Pose,
-    ) -> Self {
+    fn of(seen: &BoardInDepthImage<'a>) -> Self {
+        let BoardInDepthImage { camera, color_from_depth, board, color_from_board, .. } = *seen;
         let depth_from_board = color_from_depth.inverse() * *color_from_board;
         let normal_in_depth = depth_from_board * Vector3::z();
         let margin_m = MARGIN_SQUARES * board.spanned_chessboard().square_m;
@@ -209,8 +214,14 @@ mod tests {
         });
         let image = DepthImage::new(size, readings.collect()).unwrap();
         let color_from_board = color_from_depth * depth_from_board;
-        let error =
-            plane_error((&camera, &color_from_depth), (&board, &color_from_board), (&image, None));
+        let error = plane_error(&BoardInDepthImage {
+            camera: &camera,
+            color_from_depth: &color_from_depth,
+            board: &board,
+            color_from_board: &color_from_board,
+            image: &image,
+            invalid: None,
+        });
         let [[before, _], [after, rms]] =
             [&error.before_m, &error.after_m].map(|all| mean_and_rms_m(all).unwrap());
         assert!(

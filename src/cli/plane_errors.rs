@@ -3,7 +3,7 @@
 
 use serde::Serialize;
 
-use crate::calibration::plane_error::{mean_and_rms_m, plane_error};
+use crate::calibration::plane_error::{BoardInDepthImage, mean_and_rms_m, plane_error};
 use crate::calibration::result::Calibration;
 use crate::calibration::sensor::SensorId;
 use crate::calibration::view::{FrameFacts, View};
@@ -115,9 +115,14 @@ impl PlaneErrors {
         let view = View { number: 0, frame, detection }.to_board_view(&self.board);
         let poses = board_poses(&self.color, &view).unwrap_or_default();
         let Some(pose) = poses.first() else { return Ok(None) };
-        let on_board = (&self.board, &pose.camera_from_board);
-        let errors =
-            plane_error((&self.depth, &self.color_from_depth), on_board, (image, self.invalid));
+        let errors = plane_error(&BoardInDepthImage {
+            camera: &self.depth,
+            color_from_depth: &self.color_from_depth,
+            board: &self.board,
+            color_from_board: &pose.camera_from_board,
+            image,
+            invalid: self.invalid,
+        });
         let [before, after] =
             [&errors.before_m, &errors.after_m].map(|errors| mean_and_rms_m(errors));
         Ok(before.zip(after).and_then(|(before, after)| {

@@ -93,13 +93,8 @@ impl PrintedBoard {
         }
     }
 
-    /// A marker of `side`, its border counted, `upside_down` or not.
-    fn marker(
-        &mut self,
-        (x, y, side): (f64, f64, f64),
-        (dictionary, id): (&Dictionary, usize),
-        (border, upside_down): (usize, bool),
-    ) {
+    fn marker(&mut self, marker: &PrintedMarker<'_>) {
+        let PrintedMarker { x, y, side, dictionary, id, border, upside_down } = *marker;
         let bits = dictionary.bits();
         let cell = side / (bits + 2 * border) as f64;
         self.square(x, y, side, false);
@@ -124,8 +119,15 @@ impl PrintedBoard {
         let margin = (square_m - marker_m) / 2.0;
         for (k, (col, row)) in marked.into_iter().enumerate() {
             let at = |k: u32| f64::from(k) * square_m + margin;
-            let place = (at(col), at(row), marker_m);
-            print.marker(place, (&dictionary, first_id as usize + k), (1, false));
+            print.marker(&PrintedMarker {
+                x: at(col),
+                y: at(row),
+                side: marker_m,
+                dictionary: &dictionary,
+                id: first_id as usize + k,
+                border: 1,
+                upside_down: false,
+            });
         }
         print
     }
@@ -148,13 +150,35 @@ impl PrintedBoard {
                 // Numbered from the lowest row.
                 let id = first_id as usize + ((rows - 1 - row) * cols + col) as usize;
                 let at = |k: u32| f64::from(k) * pitch + gap;
-                print.marker((at(col), at(row), tag_m), (&family, id), (border, true));
+                print.marker(&PrintedMarker {
+                    x: at(col),
+                    y: at(row),
+                    side: tag_m,
+                    dictionary: &family,
+                    id,
+                    border,
+                    upside_down: true,
+                });
             }
         }
         print.origin = Point2::new(gap, print.height_m - gap);
         print.upward = true;
         print
     }
+}
+
+/// A marker of a print.
+struct PrintedMarker<'a> {
+    /// Its upper left corner, in meters.
+    x: f64,
+    y: f64,
+    /// Its side in meters, the border counted.
+    side: f64,
+    dictionary: &'a Dictionary,
+    id: usize,
+    /// How wide its black border is, in bits.
+    border: usize,
+    upside_down: bool,
 }
 
 #[cfg(test)]

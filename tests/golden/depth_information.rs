@@ -2,7 +2,7 @@
 //! what solves of them scatter by.
 
 use nalgebra::{DMatrix, DVector, Matrix6, Point3, Vector6};
-use plumb::calibration::information::depth_goal::DepthGoal;
+use plumb::calibration::information::depth_goal::{DepthBesideColor, DepthGoal};
 use plumb::calibration::information::depth_information::DepthInformation;
 use plumb::calibration::information::infrared_corners::InfraredNormal;
 use plumb::calibration::information::lens_information::{LensInformation, open_parameters};
@@ -95,11 +95,16 @@ fn compared(rig: &SeededRgbd, views: usize, seed: u64) -> [f64; 2] {
     let covariance: Matrix6<f64> =
         known.covariance().unwrap().fixed_view::<6, 6>(at, at).into_owned();
     let (middle, z_m) = (Pixel::new(160.0, 120.0), 0.6);
-    let color = (&rig.color.lens, known.free.as_slice(), rig.color.size);
-    let sizes = (&depth, rig.depth.size);
-    let goal = DepthGoal::new(sizes, color, (&[z_m], GoalFigure::Median)).unwrap();
+    let sensors = DepthBesideColor {
+        depth: &depth,
+        depth_size: rig.depth.size,
+        color: &rig.color.lens,
+        free: &known.free,
+        color_size: rig.color.size,
+    };
+    let goal = DepthGoal::new(sensors, &[z_m], GoalFigure::Median).unwrap();
     let predicted_px = goal.figure_px(&goal.std_px(&known).unwrap());
-    let inside = DepthGoal::new(sizes, color, (&[0.45, 0.6, 0.8], GoalFigure::Median)).unwrap();
+    let inside = DepthGoal::new(sensors, &[0.45, 0.6, 0.8], GoalFigure::Median).unwrap();
     let bands = inside.figures_px(&inside.std_px(&known).unwrap());
     let truth = {
         let in_depth = depth.lens.bearing_from_pixel(middle).unwrap();

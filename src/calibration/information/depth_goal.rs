@@ -31,14 +31,30 @@ const COLUMNS: u32 = 5;
 /// are taken.
 const LEAST_SEEN: usize = 4;
 
+/// A depth camera beside a color camera.
+#[derive(Debug, Clone, Copy)]
+pub struct DepthBesideColor<'a> {
+    /// Depth, where color has it.
+    pub depth: &'a PlacedDepth,
+    /// The size of its images.
+    pub depth_size: ImageSize,
+    /// Color's lens.
+    pub color: &'a Lens,
+    /// Which of its parameters are estimated.
+    pub free: &'a [usize],
+    /// The size of its images.
+    pub color_size: ImageSize,
+}
+
 impl DepthGoal {
     /// The `figure` of depth's pixels in color at each of `distances_m`. `None` where color sees
     /// none of them.
     pub fn new(
-        (depth, depth_size): (&PlacedDepth, ImageSize),
-        (color, free, color_size): (&Lens, &[usize], ImageSize),
-        (distances_m, figure): (&[f64], GoalFigure),
+        sensors: DepthBesideColor<'_>,
+        distances_m: &[f64],
+        figure: GoalFigure,
     ) -> Option<Self> {
+        let DepthBesideColor { depth, depth_size, color, free, color_size } = sensors;
         let grid = PixelGrid::over(depth_size, COLUMNS);
         let (mut by_depth, mut by_color, mut counts) = (Vec::new(), Vec::new(), Vec::new());
         for z_m in distances_m {

@@ -14,7 +14,7 @@ use nalgebra::{DMatrix, Point3};
 use crate::calibration::information::board_in_depth::{BoardInDepth, MeasuredView, distance_m};
 use crate::calibration::information::corner_noise::side_px;
 use crate::calibration::information::depth_fit::{FittedDepth, fit_depth, sample};
-use crate::calibration::information::depth_goal::DepthGoal;
+use crate::calibration::information::depth_goal::{DepthBesideColor, DepthGoal};
 use crate::calibration::information::depth_information::{DepthInformation, DepthNormal};
 use crate::calibration::information::expected_depth::DepthTileNoise;
 use crate::calibration::information::infrared_corners::InfraredNormal;
@@ -328,11 +328,14 @@ impl DepthTeaching {
         free: &[usize],
         [near_m, far_m]: [f64; 2],
     ) -> Option<DepthGoal> {
-        DepthGoal::new(
-            (&self.depth, self.size),
-            (color.lens(), free, color.size()),
-            (&[near_m, (near_m * far_m).sqrt(), far_m], color.figure()),
-        )
+        let sensors = DepthBesideColor {
+            depth: &self.depth,
+            depth_size: self.size,
+            color: color.lens(),
+            free,
+            color_size: color.size(),
+        };
+        DepthGoal::new(sensors, &[near_m, (near_m * far_m).sqrt(), far_m], color.figure())
     }
 
     pub(super) fn now(&self) -> Option<&DepthNow> {
