@@ -1,6 +1,8 @@
 //! The next view, and the sessions of simulated operators who follow it or do not.
 //!
-//!     cargo bench --bench guidance -- [SEEDS] [FIRST] ["IMAGES*.jpg:COLSxROWS" "IMAGES*.jpg:TARGET.json" …]
+//!     cargo bench --bench guidance -- [SEEDS] [FIRST] ["IMAGES*.jpg:BOARD" …]
+//!
+//! BOARD is COLSxROWS or the file of a target.
 //!
 //! Times one decision (which view to ask for next, of one camera and of two) on one core for three
 //! lenses; runs SEEDS sessions (9 unless said, from seed FIRST, 1000 unless said; three lenses,
@@ -214,8 +216,8 @@ fn pool(images: &str, board: &str) {
     }
 }
 
-/// The fewest images of any subset that reach the goal, all of them tried; "at least" where they are
-/// too many to try.
+/// The fewest images of any subset that reach the goal, all of them tried; "at least" where they
+/// are too many to try.
 fn fewest(pool: &Pool, images: &[usize], goal_px: f64) -> String {
     for count in 1..=images.len() {
         let subsets = (0..count).fold(1.0, |n, k| n * (images.len() - k) as f64 / (k + 1) as f64);

@@ -1,7 +1,8 @@
 //! Calibration without a target: are the stated standard deviations true, and is a wrong number
 //! ever stated with confidence?
 //!
-//!     cargo bench --bench scene_coverage -- [SEEDS] [FIRST_SEED] [--lens NAME] [--each] [--only WORD] [--keep DIR]
+//!     cargo bench --bench scene_coverage -- [SEEDS] [FIRST_SEED] [--lens NAME] [--each] \
+//!         [--only WORD] [--keep DIR]
 //!
 //! SEEDS (20 unless said) seeds of five worlds and four motions, eight images of 640×480 each by a
 //! lens of its own (Brown's model; principal point, aspect and distortion as cheap cameras have
@@ -9,8 +10,8 @@
 //! refused and how the others were graded, which part of the true fx, fy, cx and cy lies within one
 //! and two standard deviations (68 and 95 % if they are true), and the root mean square of errors
 //! over standard deviations. A confident failure is a result that is not graded poor and errs by
-//! more than four. `--each` prints every result too, `--only` those worlds or motions alone; `--keep` keeps the
-//! images in DIR, or takes them from there.
+//! more than four. `--each` prints every result too, `--only` those worlds or motions alone;
+//! `--keep` keeps the images in DIR, or takes them from there.
 
 #![expect(
     clippy::print_stdout,

@@ -37,8 +37,8 @@ const HTTP_THREADS: usize = 2;
 /// What a request may still be computing when everything else has ended.
 const LAST_WAIT: Duration = Duration::from_millis(100);
 
-/// Runs until the process is asked to end (Ctrl-C, SIGTERM); `file` is where `config` came from, but
-/// for `overrides`, and what SIGHUP reads again.
+/// Runs until the process is asked to end (Ctrl-C, SIGTERM); `file` is where `config` came from,
+/// but for `overrides`, and what SIGHUP reads again.
 ///
 /// # Errors
 /// [`DaemonError`] when it cannot start.

@@ -1,6 +1,6 @@
 //! Does a depth calibration still hold for what the camera sees now? Depth is compared with the
-//! planes of boards that color sees, patch by patch, by the error that patches of held-out views had
-//! when the camera was calibrated.
+//! planes of boards that color sees, patch by patch, by the error that patches of held-out views
+//! had when the camera was calibrated.
 
 use nalgebra::{Matrix6, Vector3, Vector6};
 
@@ -21,8 +21,8 @@ const SIGMA_PER_MAD: f64 = 1.4826;
 const MEDIAN_OVER_MEAN: f64 = 1.2533;
 /// Of so many views the worst is left out.
 const LEAST_TO_LEAVE_ONE_OUT: usize = 4;
-/// How much faster than in the mean between two frames a board may be: twice, if it starts and stops
-/// there with constant acceleration.
+/// How much faster than in the mean between two frames a board may be: twice, if it starts and
+/// stops there with constant acceleration.
 const PEAK_OVER_MEAN: f64 = 2.0;
 /// A change along a direction that the views show this much less than along others is not shown.
 const NOT_SHOWN: f64 = 1e-9;
@@ -46,10 +46,10 @@ pub struct DepthCheck {
     /// Views in which depth is off the board as far as the board's motion may have carried it: they
     /// say nothing of depth.
     pub moving: usize,
-    /// How far patches are off: the robust figure of each view, squared, in the mean over views. Its
-    /// unit is the standard deviation of held-out views' patches, with what the sensors' calibrated
-    /// pose leaves open. A view whose board moved between the images is no change: of four and more
-    /// the worst is left out.
+    /// How far patches are off: the robust figure of each view, squared, in the mean over views.
+    /// Its unit is the standard deviation of held-out views' patches, with what the sensors'
+    /// calibrated pose leaves open. A view whose board moved between the images is no change: of
+    /// four and more the worst is left out.
     pub off_sigmas: f64,
     /// By what part depth is too long, in the median over views.
     pub relative_bias: f64,
@@ -177,8 +177,8 @@ impl CalibratedErrors<'_> {
     }
 
     /// The motion of the depth camera, (t, w) as for [`moved`], that changes depth as much as a
-    /// `step` of the board from `color_from_board` on: a point x of it moves by ω × (x - p) + τ, with
-    /// p the board's origin.
+    /// `step` of the board from `color_from_board` on: a point x of it moves by ω × (x - p) + τ,
+    /// with p the board's origin.
     fn as_camera_motion(&self, step: &Vector6<f64>, color_from_board: &Pose) -> Vector6<f64> {
         let [rotation, translation] = [0, 3].map(|at| step.fixed_rows::<3>(at).into_owned());
         let of_color = translation + color_from_board.translation().cross(&rotation);
@@ -273,8 +273,8 @@ fn median_std(values: &[f64]) -> f64 {
     if values.len() < 2 { f64::INFINITY } else { MEDIAN_OVER_MEAN * (square / count).sqrt() }
 }
 
-/// How the depth of a patch changes with a move of the depth camera by t and a rotation w: that of a
-/// plane with normal n at the point p by n · (t + w × p) / (n · p / p_z).
+/// How the depth of a patch changes with a move of the depth camera by t and a rotation w: that of
+/// a plane with normal n at the point p by n · (t + w × p) / (n · p / p_z).
 fn moved(patch: &PatchError) -> Vector6<f64> {
     let (point, normal) = (patch.point_in_depth.coords, patch.normal_in_depth);
     let rotated = point.cross(&normal);

@@ -2,8 +2,9 @@
 //!
 //! Each board's pose is fitted under the calibrated lens, with the board's shape as it was measured
 //! with that lens. The residuals of several views, beyond those of the calibration's own views and
-//! beyond the motion of the board while rows are read, measure how far the lens has moved; the limit
-//! is the calibration's own uncertainty. It costs one pose fit for each accepted view of a session.
+//! beyond the motion of the board while rows are read, measure how far the lens has moved; the
+//! limit is the calibration's own uncertainty. It costs one pose fit for each accepted view of a
+//! session.
 
 use nalgebra::{Point3, Vector3};
 
@@ -43,9 +44,9 @@ pub struct Drift {
     pub calibration: String,
     /// What has changed and what to do, in words.
     pub reason: String,
-    /// The reprojection error of the boards seen, with only their poses fitted and without the motion
-    /// that the calibration's own views showed while rows were read, in pixels; `None` where images
-    /// of another size cannot be compared.
+    /// The reprojection error of the boards seen, with only their poses fitted and without the
+    /// motion that the calibration's own views showed while rows were read, in pixels; `None` where
+    /// images of another size cannot be compared.
     pub rms_px: Option<f64>,
     /// What the calibration had when it was made, in pixels.
     pub expected_px: f64,

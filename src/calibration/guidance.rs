@@ -51,8 +51,8 @@ const fn suggest(
 /// How far a tilted board is asked to be tilted, in radians: 34 degrees, of the 20 to 45 that the
 /// verdict asks for where the focal length is weak.
 const TILT_RAD: f64 = 0.6;
-/// The size ([`Placement::size`]) of a board that is neither near nor far: it spans 18 % of the image,
-/// and about a quarter of its width and height it nearly reaches the edges.
+/// The size ([`Placement::size`]) of a board that is neither near nor far: it spans 18 % of the
+/// image, and about a quarter of its width and height it nearly reaches the edges.
 const MEDIUM_SIZE: f64 = 0.42;
 /// Half as large: 5 % of the image.
 const HALF_SIZE: f64 = 0.22;

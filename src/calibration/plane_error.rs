@@ -77,7 +77,8 @@ const PATCHES: [usize; 2] = [4, 3];
 /// Fewer readings are no patch.
 const LEAST_READINGS: usize = 12;
 
-/// The errors of corrected depth in the patches of the board; patches without readings are left out.
+/// The errors of corrected depth in the patches of the board; patches without readings are left
+/// out.
 pub fn patch_errors(seen: &BoardInDepthImage<'_>) -> Vec<PatchError> {
     let BoardInDepthImage { camera, image, invalid, .. } = *seen;
     let plane = SeenPlane::of(seen);

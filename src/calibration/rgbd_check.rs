@@ -28,8 +28,8 @@ const FARTHEST_M: f64 = 0.5;
 const MOST_ROTATED_DEG: f64 = 45.0;
 
 /// # Errors
-/// [`RgbdError`]: another unit, depth that does not follow the board, a lens that no depth camera has,
-/// or sensors too far from each other for one device.
+/// [`RgbdError`]: another unit, depth that does not follow the board, a lens that no depth camera
+/// has, or sensors too far from each other for one device.
 pub(super) fn check_joint(joint: &RgbdEstimate, lens_from: DepthLens) -> Result<(), RgbdError> {
     let tiles = || joint.judged.iter().flatten();
     let factors = || tiles().map(|judged| judged.plane / judged.tile.inverse_depth);

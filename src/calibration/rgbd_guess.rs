@@ -1,5 +1,5 @@
-//! What the joint solve of color, infrared and depth starts from: the sensors calibrated one by one,
-//! the board's motion, what disparity means, and the board's surface in every depth image.
+//! What the joint solve of color, infrared and depth starts from: the sensors calibrated one by
+//! one, the board's motion, what disparity means, and the board's surface in every depth image.
 
 use std::cmp::Reverse;
 use std::mem::discriminant;
@@ -145,8 +145,8 @@ impl Guess {
         guess
     }
 
-    /// The board's motion at each frame set, and the time between the sensors, by every frame set that
-    /// both see the board in.
+    /// The board's motion at each frame set, and the time between the sensors, by every frame set
+    /// that both see the board in.
     fn find_motion(
         &mut self,
         input: &RgbdInput,

@@ -170,8 +170,8 @@ fn measured_by(
 /// A camera whose residuals grow by more than this when it is solved with the others was not where
 /// they say.
 const MISFITTING: f64 = 1.5;
-/// Standard deviations above which a relative pose is reported as loose: of the rotation in degrees,
-/// of the translation as a part of its length.
+/// Standard deviations above which a relative pose is reported as loose: of the rotation in
+/// degrees, of the translation as a part of its length.
 const LOOSE_DEG: f64 = 0.1;
 const LOOSE_PART: f64 = 0.01;
 

@@ -33,7 +33,8 @@ pub struct SolvedRgbd {
     /// How far two halves of its views differ, where there are enough, in what is reported of it:
     /// color alone where the factory has depth, and no infrared image was seen.
     pub halves: Option<RgbdDifference>,
-    /// The comparison with the factory's statement of depth, where there is one and views with both.
+    /// The comparison with the factory's statement of depth, where there is one and views with
+    /// both.
     pub factory: Option<FactoryCheck>,
     /// Which frame set each view of the joint estimate is.
     pub frame_set_of_view: Vec<usize>,

@@ -34,8 +34,8 @@ fn camera_from_first() -> [Pose; 3] {
     ]
 }
 
-/// What three cameras see of a board that each may take for rotated; `sees` is whether a camera sees
-/// the board in a frame set.
+/// What three cameras see of a board that each may take for rotated; `sees` is whether a camera
+/// sees the board in a frame set.
 fn input(board: Chessboard, sees: impl Fn(usize, usize) -> bool) -> RigInput {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let middle =

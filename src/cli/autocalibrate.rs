@@ -97,8 +97,8 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     }
 }
 
-/// The same with lengths in meters, where the depth images that came with the images give them; with
-/// the reason where there are such, and they do not.
+/// The same with lengths in meters, where the depth images that came with the images give them;
+/// with the reason where there are such, and they do not.
 fn with_unit(
     mut calibration: SceneCalibration,
     depth: Vec<Option<Arc<DepthImage>>>,

@@ -32,8 +32,8 @@ pub fn read_calibration(path: &Path) -> Result<Calibration, Failure> {
         .map_err(|error| Failure::failed(format!("{}: {error}", path.display())))
 }
 
-/// The image sensor of a calibration that is asked for by its name, as `camera` or `camera.sensor` of
-/// a rig; without a name, that of an instrument that is one camera. `file` is where it was read.
+/// The image sensor of a calibration that is asked for by its name, as `camera` or `camera.sensor`
+/// of a rig; without a name, that of an instrument that is one camera. `file` is where it was read.
 ///
 /// # Errors
 /// When there is no such sensor, or several and none is asked for.
@@ -58,8 +58,8 @@ pub fn image_sensor<'a>(
     })
 }
 
-/// Writes a file whole or not at all: beside its name first, then into place. A link stays, and what
-/// it leads to is written; so does a device or a pipe, which is written to.
+/// Writes a file whole or not at all: beside its name first, then into place. A link stays, and
+/// what it leads to is written; so does a device or a pipe, which is written to.
 ///
 /// # Errors
 /// When the folder cannot be written to.

@@ -44,8 +44,8 @@ pub struct Args {
     /// 0: every pixel of the results is seen; 1: everything that was seen is in the results
     #[arg(long, default_value_t = 0.0)]
     alpha: f64,
-    /// The folder to write to, with a folder for each camera in it; made if it is not there. Results
-    /// are PNG files with the images' names
+    /// The folder to write to, with a folder for each camera in it; made if it is not there.
+    /// Results are PNG files with the images' names
     #[arg(long, value_name = "DIR", default_value = "rectified")]
     out: PathBuf,
     /// The board that rows are measured by: its inner corners, as in 9x6 [default: the board of

@@ -27,8 +27,8 @@ pub(super) fn result_name(frames: &SourcedFrames) -> String {
     }
 }
 
-/// A frame through `map`, as a PNG file: with 16 bits where it has them and is gray. `None` if it has
-/// another size than the map's.
+/// A frame through `map`, as a PNG file: with 16 bits where it has them and is gray. `None` if it
+/// has another size than the map's.
 pub(super) fn mapped_png(frame: &Frame, map: &PixelMap) -> Result<Option<Vec<u8>>, String> {
     let mapped = match decode::gray16(frame).map_err(|error| error.to_string())? {
         Some(deep) => map.gray16(&deep, Interpolation::Bicubic).map(DynamicImage::ImageLuma16),

@@ -15,7 +15,8 @@ pub struct Args {
     /// The configuration, TOML; plumb.toml of this folder, if it is there, unless given.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// The address to listen on, in place of the configuration's; 127.0.0.1:8600 if neither gives one.
+    /// The address to listen on, in place of the configuration's; 127.0.0.1:8600 if neither gives
+    /// one.
     #[arg(long, value_name = "ADDR")]
     listen: Option<String>,
 }

@@ -51,8 +51,8 @@ impl SourcedFrames {
         NoImage::of(&self.set).in_folder(self.folder.as_deref())
     }
 
-    /// The image of `sensor`, which is infrared's where a camera has no color. An image by itself may
-    /// be any sensor's.
+    /// The image of `sensor`, which is infrared's where a camera has no color. An image by itself
+    /// may be any sensor's.
     ///
     /// # Errors
     /// That there is none, in one line.

@@ -144,8 +144,8 @@ fn change(check: &DepthCheck) -> String {
     )
 }
 
-/// Compares depth with the boards at the poses `views`, by name; `None` where the calibration or the
-/// sources have no depth. Where the calibration says how much later depth is taken, boards of a
+/// Compares depth with the boards at the poses `views`, by name; `None` where the calibration or
+/// the sources have no depth. Where the calibration says how much later depth is taken, boards of a
 /// recording are also expected where they may have moved to by then.
 ///
 /// # Errors

@@ -23,8 +23,8 @@ const CYCLONE: [u8; 2] = [0x01, 0x10];
 /// What Cyclone's middleware puts before the content.
 const CYCLONE_HEADER: usize = 16;
 /// How long a request waits for its client to be found by the topic of replies. DDS finds the two
-/// topics one after the other, and a reply that is sent before is lost: ROS 2's own middlewares wait
-/// too.
+/// topics one after the other, and a reply that is sent before is lost: ROS 2's own middlewares
+/// wait too.
 const DISCOVERY: Duration = Duration::from_secs(1);
 
 /// A request that came in.

@@ -8,10 +8,10 @@
 //! h(p) = q(p) + Σₖ wₖ U(|p − pₖ|),   U(r) = r⁴ ln r,   Σₖ wₖ q'(pₖ) = 0 for each quadratic q'
 //! ```
 //!
-//! with a quadratic q, so that a bow and a twist are exact and go on beside the corners as they are.
-//! A thin-plate spline (of second derivatives) goes on straight, and loses a fifth of a bow and a
-//! third of a twist at the edge of a board of 9 by 6. The polynomials that the shape was estimated
-//! with have too high a degree to extrapolate beyond the corners.
+//! with a quadratic q, so that a bow and a twist are exact and go on beside the corners as they
+//! are. A thin-plate spline (of second derivatives) goes on straight, and loses a fifth of a bow
+//! and a third of a twist at the edge of a board of 9 by 6. The polynomials that the shape was
+//! estimated with have too high a degree to extrapolate beyond the corners.
 
 use nalgebra::{DMatrix, DVector, Point3, Vector3};
 

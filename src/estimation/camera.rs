@@ -18,7 +18,8 @@ use crate::estimation::problem::{CameraProblem, GivenParameter, LensChoice, chec
 use crate::estimation::start::Prepared;
 use crate::geometry::lens::LensModel;
 
-/// Whether a lens of `model` has the parameters that are `given`, by name, and may have these values.
+/// Whether a lens of `model` has the parameters that are `given`, by name, and may have these
+/// values.
 ///
 /// # Errors
 /// [`EstimationError::UnknownParameter`], [`EstimationError::GivenValue`].
@@ -93,8 +94,8 @@ fn solve(
     solved
 }
 
-/// `error`, or, where other lenses are determined by these views, that the lens's own coefficient is
-/// not.
+/// `error`, or, where other lenses are determined by these views, that the lens's own coefficient
+/// is not.
 fn of_lens_or_views(
     error: EstimationError,
     problem: &CameraProblem,

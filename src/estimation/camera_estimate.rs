@@ -28,8 +28,8 @@ pub struct CameraEstimate {
     /// Covariance of the lens parameters, in the order of [`Lens::parameter_names`]; zero rows for
     /// those not estimated.
     pub lens_covariance: DMatrix<f64>,
-    /// The noise floor, in pixels: a common standard deviation, added in quadrature to every corner's
-    /// own `std_px`. Estimated by maximum likelihood.
+    /// The noise floor, in pixels: a common standard deviation, added in quadrature to every
+    /// corner's own `std_px`. Estimated by maximum likelihood.
     pub noise_floor_px: f64,
     /// The noise estimated from the residuals: the factor on each corner's `std_px`, with
     /// [`Self::noise_floor_px`] in it.
@@ -60,8 +60,8 @@ pub struct ViewEstimate {
     pub fault: Option<ViewFault>,
     /// Where the board was; for a view that is not in use the best guess, if there is one.
     pub camera_from_board: Option<Pose>,
-    /// Covariance of that pose, as a rotation about the camera's axes (radians) and a translation of the
-    /// problem's mean point (meters); `None` for a view that is not in use.
+    /// Covariance of that pose, as a rotation about the camera's axes (radians) and a translation
+    /// of the problem's mean point (meters); `None` for a view that is not in use.
     pub covariance: Option<Matrix6<f64>>,
     /// Root mean square over the corners in use (over all of them in a view that is not), in
     /// pixels.
@@ -214,7 +214,8 @@ impl<'a> FittedPart<'a> {
         let (by_free, free) = (at.lens.all_by_free(lens), at.lens.free.len());
         let of_lens = self.unit.view((at.lens_at, at.lens_at), (free, free));
         [0, 1].into_iter().find_map(|axis| {
-            // Exact corners must not make a lens known that a hundredth of a pixel would leave open.
+            // Exact corners must not make a lens known that a hundredth of a pixel would leave
+            // open.
             let of_unit_noise = by_free.row(axis) * of_lens * by_free.row(axis).transpose();
             let std = (of_unit_noise[(0, 0)] * self.of_lens.factor).sqrt()
                 * self.noise_square.sqrt().max(LEAST_NOISE / self.part.noise);

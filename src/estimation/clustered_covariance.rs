@@ -1,6 +1,6 @@
 //! The covariance of parameters when the corners of a view err together. The covariance of a
-//! least-squares estimate takes every corner's error for its own; where something that is not in the
-//! model moves a whole view (a lens that the model cannot follow, a board that is not as it is
+//! least-squares estimate takes every corner's error for its own; where something that is not in
+//! the model moves a whole view (a lens that the model cannot follow, a board that is not as it is
 //! stated), views differ by more than their corners' scatter explains, and so do estimates from
 //! other views.
 //!
@@ -9,9 +9,9 @@
 //! is C A C if corners err by themselves, A being the view's part of the information. Without the
 //! view the estimate would move by (1 − C A)⁻¹ δ. The scatter of these over the views is the
 //! clustered covariance (K.-Y. Liang, S. L. Zeger, *Longitudinal data analysis using generalized
-//! linear models*, 1986, in the form CR3 of R. M. Bell and D. F. McCaffrey, 2002: the jackknife over
-//! views, to first order). With few views it is itself uncertain, so it counts the more the better
-//! the steps show that views differ at all, and not at all where chance would explain them.
+//! linear models*, 1986, in the form CR3 of R. M. Bell and D. F. McCaffrey, 2002: the jackknife
+//! over views, to first order). With few views it is itself uncertain, so it counts the more the
+//! better the steps show that views differ at all, and not at all where chance would explain them.
 
 use std::ops::Range;
 
@@ -26,8 +26,8 @@ use crate::estimation::robust_fit::ROUNDING;
 const MIN_VIEWS: usize = 5;
 
 /// An excess of the squares of steps within this many standard deviations is attributed to chance
-/// (it exceeds that by chance seven times in a hundred). A lower limit would mix in the noisy scatter
-/// of the views; a higher one would understate the covariance.
+/// (it exceeds that by chance seven times in a hundred). A lower limit would mix in the noisy
+/// scatter of the views; a higher one would understate the covariance.
 const CHANCE: f64 = 1.5;
 
 /// This many standard deviations beyond chance, the clustered covariance and the model's count the
@@ -232,8 +232,8 @@ pub(crate) fn clustered(
     combined(unit, noise_square, influences, views, without).unwrap_or(plain)
 }
 
-/// By how much the squares of the views' influences exceed those of corners by themselves, as a part
-/// of these, and the standard deviation of that by chance.
+/// By how much the squares of the views' influences exceed those of corners by themselves, as a
+/// part of these, and the standard deviation of that by chance.
 struct Excess {
     part: f64,
     std: f64,

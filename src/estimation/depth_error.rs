@@ -112,10 +112,10 @@ impl Prior {
     }
 }
 
-/// A triangulating sensor measures 1/z up to a scale and an offset. A curvature that is common to the
-/// whole image acts like a translation of the sensor along its axis (1/(z + t) = 1/z − t/z² …). So its
-/// mean is held to this part of 1/z at the middle of the depths seen; its variation over the image is
-/// free.
+/// A triangulating sensor measures 1/z up to a scale and an offset. A curvature that is common to
+/// the whole image acts like a translation of the sensor along its axis (1/(z + t) = 1/z − t/z² …).
+/// So its mean is held to this part of 1/z at the middle of the depths seen; its variation over the
+/// image is free.
 const LINEAR_TERMS: usize = 2;
 const MEAN_CURVATURE: f64 = 0.002;
 

@@ -1,8 +1,9 @@
 //! The covariance of a lens where views differ by more than their corners' scatter explains, by
 //! solving again without some of them (J. Tukey, *Bias and confidence in not quite large samples*,
 //! 1958; over groups of views where they are many). What a view does to first order
-//! (`clustered_covariance`) holds which corners are believed, and the variances of the board's shape
-//! and of motion, where they are; on photographs these change with the view, and the lens with them.
+//! (`clustered_covariance`) holds which corners are believed, and the variances of the board's
+//! shape and of motion, where they are; on photographs these change with the view, and the lens
+//! with them.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -52,8 +53,8 @@ fn weight_of_views(fit: &CameraFit) -> Option<f64> {
     Some(FitCovariance::of(fit)?.block(at.lens_at..at.lens_at + at.lens.free.len()).weight)
 }
 
-/// The jackknife covariance of the lens's parameters (B. Efron, C. Stein, *The jackknife estimate of
-/// variance*, 1981, with groups of views); `None` where too few solves succeed.
+/// The jackknife covariance of the lens's parameters (B. Efron, C. Stein, *The jackknife estimate
+/// of variance*, 1981, with groups of views); `None` where too few solves succeed.
 fn jackknife(
     problem: &CameraProblem,
     options: &CameraOptions,

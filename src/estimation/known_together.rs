@@ -10,9 +10,9 @@ use crate::geometry::pixel::{ImageSize, Pixel};
 const MATRIX: usize = 5;
 
 /// The names of the coefficients whose standard deviations, each by itself, move some corner of the
-/// image farther than all coefficients together do: by itself such a coefficient says nothing of the
-/// lens. `lens_std` is in the order of [`Lens::parameter_names`]. Corners that the model does not see
-/// with all coefficients at 0 are left out.
+/// image farther than all coefficients together do: by itself such a coefficient says nothing of
+/// the lens. `lens_std` is in the order of [`Lens::parameter_names`]. Corners that the model does
+/// not see with all coefficients at 0 are left out.
 ///
 /// ```
 /// use plumb::estimation::known_together::known_only_together;

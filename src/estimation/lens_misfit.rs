@@ -1,6 +1,6 @@
 //! Whether a lens model is too simple for the lens. Its own residuals show that poorly, because the
-//! board's shape, the poses and the focal length absorb the error. A model that was chosen is tested
-//! too: the choice takes a larger one only if it is better beyond chance.
+//! board's shape, the poses and the focal length absorb the error. A model that was chosen is
+//! tested too: the choice takes a larger one only if it is better beyond chance.
 
 use crate::estimation::camera_estimate::CameraEstimate;
 use crate::estimation::camera_fit::{CameraFit, fit_camera};
@@ -33,8 +33,8 @@ pub struct LensMisfit {
 }
 
 impl LensMisfit {
-    /// Compares the lens model of `estimate`, which was asked for or chosen, with the larger ones that
-    /// an automatic choice compares; `None` where none of them predicts views better
+    /// Compares the lens model of `estimate`, which was asked for or chosen, with the larger ones
+    /// that an automatic choice compares; `None` where none of them predicts views better
     /// ([`crate::estimation::lens_choice`]).
     pub(crate) fn of(
         problem: &CameraProblem,

@@ -77,10 +77,10 @@ impl<'a> Trial<'a> {
             && (nested || self.gain_over(smaller) > BETTER_BEYOND_CHANCE)
     }
 
-    /// The probability that it is nearer to the lens than `smaller` is: that held-out views, and how
-    /// far it moves projections, would say so with other views of the same kind, which change either
-    /// by one standard deviation. Of two models of which neither holds the other, held-out views
-    /// alone.
+    /// The probability that it is nearer to the lens than `smaller` is: that held-out views, and
+    /// how far it moves projections, would say so with other views of the same kind, which change
+    /// either by one standard deviation. Of two models of which neither holds the other, held-out
+    /// views alone.
     pub(crate) fn probability_beside(&self, smaller: &Self) -> f64 {
         let gain = self.gain_over(smaller);
         if !self.fit.lens().model().holds(smaller.fit.lens().model()) {

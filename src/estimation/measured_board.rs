@@ -43,8 +43,8 @@ const SAME_CORNER: f64 = 1e-3;
 
 impl MeasuredBoard {
     /// One board that several cameras measured by themselves: each corner's offset is their mean,
-    /// weighted by 1 over the variance per axis. Of those that saw fewer corners than others nothing
-    /// is taken, as their shapes are relative to another mean. `None` of none.
+    /// weighted by 1 over the variance per axis. Of those that saw fewer corners than others
+    /// nothing is taken, as their shapes are relative to another mean. `None` of none.
     pub fn mean_of(measured: &[Self]) -> Option<Self> {
         let most = measured.iter().map(|board| board.points.len()).max()?;
         let whole: Vec<&Self> =

@@ -1,7 +1,7 @@
 //! Why a model does not fit: which effect, added to the model, would explain the residuals. Each
 //! candidate is tried by one Gauss–Newton step from the minimum (a score test, C. R. Rao, 1948).
-//! There are two: a board whose points are off its plane, alike in every view; and a board or camera
-//! that moves while the rows of the image are read one after another.
+//! There are two: a board whose points are off its plane, alike in every view; and a board or
+//! camera that moves while the rows of the image are read one after another.
 //!
 //! The board is tested twice. A bow has two unknowns, z = a (1 − x²) + b (1 − y²) over the half
 //! extents: it is named with its directions, and cheap enough to be tested of every set. Any shape
@@ -31,7 +31,8 @@ pub struct Misfit {
     pub rolling_shutter: Option<f64>,
     /// How far the board's points seem to be off a plane, from the lowest to the highest, in
     /// meters, where that explains a good part of the residuals. (A board that is measured has the
-    /// root mean square instead, [`crate::estimation::measured_board::MeasuredBoard::unevenness_m`].)
+    /// root mean square instead,
+    /// [`crate::estimation::measured_board::MeasuredBoard::unevenness_m`].)
     pub peak_to_valley_m: Option<f64>,
 }
 

@@ -1,8 +1,8 @@
-//! What the choice between lens models adds to the covariance of the lens that was chosen: how other
-//! models' lenses differ from it, each as likely as it is to be the nearer one (the variance between
-//! models of J. A. Hoeting, D. Madigan, A. E. Raftery, C. T. Volinsky, *Bayesian model averaging: a
-//! tutorial*, 1999, equation 3, about the lens that is reported). Without it a choice that single
-//! views decide would jump by more than the deviations that are stated.
+//! What the choice between lens models adds to the covariance of the lens that was chosen: how
+//! other models' lenses differ from it, each as likely as it is to be the nearer one (the variance
+//! between models of J. A. Hoeting, D. Madigan, A. E. Raftery, C. T. Volinsky, *Bayesian model
+//! averaging: a tutorial*, 1999, equation 3, about the lens that is reported). Without it a choice
+//! that single views decide would jump by more than the deviations that are stated.
 
 use nalgebra::{DMatrix, DVector, Point3};
 
@@ -16,10 +16,10 @@ use crate::geometry::lens::Lens;
 /// outside the views.
 const EVEN: f64 = 1.0;
 
-/// A model of smaller odds is left out (Occam's window of D. Madigan, A. E. Raftery, *Model selection
-/// and accounting for model uncertainty in graphical models using Occam's window*, 1994): the tail of
-/// a normal distribution is not known so far out, and lenses that are out of the question are off by
-/// hundreds of deviations.
+/// A model of smaller odds is left out (Occam's window of D. Madigan, A. E. Raftery, *Model
+/// selection and accounting for model uncertainty in graphical models using Occam's window*, 1994):
+/// the tail of a normal distribution is not known so far out, and lenses that are out of the
+/// question are off by hundreds of deviations.
 const LEAST_ODDS: f64 = 0.05;
 
 /// The parameters before a lens's coefficients: fx, fy, cx, cy, skew.

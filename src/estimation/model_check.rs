@@ -25,10 +25,10 @@ pub struct ModelCheck {
     pub residual_correlation: Option<f64>,
     /// What seems to be wrong where halves or neighboring corners show that something is.
     pub misfit: Misfit,
-    /// How far the board's middle seems to be off the plane of its edges by curvature along x and by
-    /// curvature along y, in meters, where that explains a good part of the residuals and was not
-    /// estimated. It is tested of every set; a board of any shape is where something else shows that
-    /// the model is wrong.
+    /// How far the board's middle seems to be off the plane of its edges by curvature along x and
+    /// by curvature along y, in meters, where that explains a good part of the residuals and was
+    /// not estimated. It is tested of every set; a board of any shape is where something else shows
+    /// that the model is wrong.
     pub board_bow_m: Option<[f64; 2]>,
     /// Whether the lens model that was asked for is too simple.
     pub lens_misfit: Option<LensMisfit>,

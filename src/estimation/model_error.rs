@@ -1,5 +1,5 @@
-//! The noise floor: an error that all corners share beyond their own standard deviations. A board is
-//! not quite flat or square, a lens model is only nearly right, and the standard deviations are
+//! The noise floor: an error that all corners share beyond their own standard deviations. A board
+//! is not quite flat or square, a lens model is only nearly right, and the standard deviations are
 //! estimates themselves. Without it, the few corners that seem sharpest would get most of the
 //! weight.
 //!

@@ -24,8 +24,8 @@ pub(crate) struct WeightedPoint {
 }
 
 /// The lens with the parameters that `free` leaves, the others being `given`, that sees
-/// `points_in_camera` as nearly as possible as `lens` does, by least squares of pixels. `None` where
-/// it does not see them all.
+/// `points_in_camera` as nearly as possible as `lens` does, by least squares of pixels. `None`
+/// where it does not see them all.
 pub(crate) fn nearest_lens(
     lens: &Lens,
     free: &FreeLens,

@@ -16,10 +16,10 @@ use crate::geometry::pose::Pose;
 /// Points narrower than this, across over along, are on a line.
 const LEAST_BREADTH: f64 = 1e-4;
 
-/// Points thinner than this, thickness over width, are taken for a plane, which is where a board that
-/// is not even starts. Swept with boards 150 px wide and corners known to 0.1 px: started as a plane,
-/// none of 200 poses is wrong up to 0.1 (32 at 0.2); started as points in space, none from 0.003 on (23
-/// at 0.001, 84 at 1e-4).
+/// Points thinner than this, thickness over width, are taken for a plane, which is where a board
+/// that is not even starts. Swept with boards 150 px wide and corners known to 0.1 px: started as a
+/// plane, none of 200 poses is wrong up to 0.1 (32 at 0.2); started as points in space, none from
+/// 0.003 on (23 at 0.001, 84 at 1e-4).
 const FLATNESS: f64 = 1e-2;
 
 /// The frame in which a set of points is flat.

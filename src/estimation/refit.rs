@@ -16,8 +16,8 @@ const COMPARED: Stop = Stop { max_steps: 50, decrease: 1e-3, part: 0.0, lambda: 
 /// its minimum.
 const AS_PREDICTED: f64 = 0.01;
 
-/// The fit of some of the frame sets, each the indices of its observations in `chosen`, from the fit
-/// of all, from their separate equations `local`.
+/// The fit of some of the frame sets, each the indices of its observations in `chosen`, from the
+/// fit of all, from their separate equations `local`.
 pub(crate) fn refit(
     fit: &CameraFit,
     chosen: &[BoardObservation],

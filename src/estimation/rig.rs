@@ -1,6 +1,6 @@
 //! Several sensors that are fixed to each other, from views of one board: lenses, where the sensors
-//! are, and where the board was at each frame set, in one joint problem. A sensor need not see every
-//! frame set.
+//! are, and where the board was at each frame set, in one joint problem. A sensor need not see
+//! every frame set.
 
 use nalgebra::{DMatrix, Matrix6};
 
@@ -70,8 +70,8 @@ pub struct RigEstimate {
 /// How far two halves of a rig's frame sets, fitted separately, differ in one sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SensorHalves {
-    /// As [`crate::estimation::model_check::ModelCheck::split_half_ratio`]; `None` for a lens that is
-    /// not estimated.
+    /// As [`crate::estimation::model_check::ModelCheck::split_half_ratio`]; `None` for a lens that
+    /// is not estimated.
     pub lens_ratio: Option<f64>,
     /// By how much the focal length differs, relative to itself.
     pub focal_change: f64,
@@ -87,11 +87,12 @@ pub struct SensorHalves {
 pub struct SensorPose {
     /// The pose.
     pub sensor_from_rig: Pose,
-    /// Its covariance, as a rotation about the sensor's axes (radians) and a translation (meters); zero for
-    /// the first sensor.
+    /// Its covariance, as a rotation about the sensor's axes (radians) and a translation (meters);
+    /// zero for the first sensor.
     pub covariance: Matrix6<f64>,
     /// How many times greater that is for views that differ by more than their corners' noise, as
-    /// [`CameraEstimate::variance_inflation`]; what is not known of the board's shape is not counted.
+    /// [`CameraEstimate::variance_inflation`]; what is not known of the board's shape is not
+    /// counted.
     pub variance_inflation: f64,
 }
 
@@ -257,9 +258,9 @@ const HALF_TURN: f64 = 2.4;
 
 type Places = (Vec<Pose>, Vec<Option<Pose>>);
 
-/// `sensor_from_rig` of each sensor and `rig_from_board` of each frame set, from the poses that each
-/// sensor found by itself: sensor by sensor, each joined to those already placed by the relative
-/// pose that most shared frame sets agree on.
+/// `sensor_from_rig` of each sensor and `rig_from_board` of each frame set, from the poses that
+/// each sensor found by itself: sensor by sensor, each joined to those already placed by the
+/// relative pose that most shared frame sets agree on.
 fn place_sensors(
     problem: &RigProblem,
     alone: &[(Prepared, CameraFit)],

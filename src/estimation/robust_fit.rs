@@ -97,8 +97,8 @@ fn huber(scale: f64) -> Loss {
     Loss::Huber { scale: HUBER * scale }
 }
 
-/// Whether residuals show a view that was given up to be a good one after all: nine of ten are within
-/// `limit`. Wrong labels leave few there.
+/// Whether residuals show a view that was given up to be a good one after all: nine of ten are
+/// within `limit`. Wrong labels leave few there.
 pub(crate) fn is_explained(residuals: &[[f64; 2]], limit: f64) -> bool {
     let inliers = residuals.iter().filter(|[x, y]| x.hypot(*y) <= limit).count();
     10 * inliers >= 9 * residuals.len()

@@ -26,11 +26,11 @@ const MISFIT: f64 = 0.25;
 /// Pixels of less roundness ([`PixelScatter::roundness`]) are on a line, but for rounding.
 const LEAST_ROUNDNESS: f64 = 1e-6;
 
-/// A relabeling explains a view whose homography then leaves less than this many times what those of
-/// the other views do, or …
+/// A relabeling explains a view whose homography then leaves less than this many times what those
+/// of the other views do, or …
 const RELABELED_MEDIANS: f64 = 4.0;
-/// … this part of its corners' rms distance from their mean, of which wrong labels leave half. Neither
-/// was swept.
+/// … this part of its corners' rms distance from their mean, of which wrong labels leave half.
+/// Neither was swept.
 const RELABELED_PART: f64 = 0.01;
 
 /// Views on which first lenses are compared, at most. The median of their errors holds with four
@@ -248,8 +248,8 @@ fn plane_pairs(shape: &Shape, observation: &BoardObservation) -> Vec<(Point2<f64
 struct PixelScatter {
     /// Their rms distance from it.
     rms_px: f64,
-    /// The root of the determinant of their scatter matrix over its trace: 0 on a line, ½ where they
-    /// reach as far in every direction.
+    /// The root of the determinant of their scatter matrix over its trace: 0 on a line, ½ where
+    /// they reach as far in every direction.
     roundness: f64,
 }
 

@@ -12,8 +12,8 @@ pub(crate) fn normal_deviations(t: f64, freedom: f64) -> f64 {
     size.copysign(t) / stretch(freedom)
 }
 
-/// The other way round: how many of its own standard deviations, estimated with `freedom` degrees of
-/// freedom, are as rare as `deviations` of a normal distribution.
+/// The other way round: how many of its own standard deviations, estimated with `freedom` degrees
+/// of freedom, are as rare as `deviations` of a normal distribution.
 pub(crate) fn student_deviations(deviations: f64, freedom: f64) -> f64 {
     let freedom = freedom.max(1.0);
     let size = stretch(freedom) * deviations;
@@ -28,8 +28,8 @@ fn stretch(freedom: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Of the tables of Student's distribution: half a percent beyond, at 3, 5, 14 and 29 degrees of
-    /// freedom.
+    /// Of the tables of Student's distribution: half a percent beyond, at 3, 5, 14 and 29 degrees
+    /// of freedom.
     #[test]
     fn deviations_are_as_rare_as_those_of_student_s_distribution() {
         for (freedom, t) in [(3.0, 5.841), (5.0, 4.032), (14.0, 2.977), (29.0, 2.756)] {

@@ -64,8 +64,8 @@ pub struct UncertaintyMap {
     pub square_px2: Vec<Option<f64>>,
     /// The covariance of the error at each pixel of the grid, in px².
     pub covariance_px2: Vec<Option<Matrix2<f64>>>,
-    /// The weight of each pixel of the grid in the fit of the compensating motion: 1, less where the
-    /// standard deviation is far above the median, 0 where nothing is projected.
+    /// The weight of each pixel of the grid in the fit of the compensating motion: 1, less where
+    /// the standard deviation is far above the median, 0 where nothing is projected.
     pub weights: Vec<f64>,
 }
 
@@ -195,8 +195,9 @@ impl ProjectionSamples {
         Some(map_of(*grid, covariances, weights))
     }
 
-    /// The same samples after the motion that compensates with the weights of `map`: to compare many
-    /// covariances that are not far from that map's. `None` where the motion is not determined.
+    /// The same samples after the motion that compensates with the weights of `map`: to compare
+    /// many covariances that are not far from that map's. `None` where the motion is not
+    /// determined.
     pub fn compensated_as(&self, map: &UncertaintyMap) -> Option<CompensatedSamples> {
         let compensation = compensation(&self.samples, &map.weights, self.distance)?;
         let rest = |sample: &Sample| sample.by_parameters - sample.by_motion * compensation;

@@ -19,9 +19,9 @@ pub struct CameraMatrix {
     pub skew: f64,
 }
 
-/// The least skew that is one, in pixels. Less is the rounding of a linear solve, and moves no pixel
-/// within 45° of the axis by more than itself: less than a thousandth of what the best corners are
-/// known to.
+/// The least skew that is one, in pixels. Less is the rounding of a linear solve, and moves no
+/// pixel within 45° of the axis by more than itself: less than a thousandth of what the best
+/// corners are known to.
 const LEAST_SKEW_PX: f64 = 1e-6;
 
 impl CameraMatrix {

@@ -38,9 +38,9 @@ impl Homography {
         usable.then_some(Self { matrix: scaled })
     }
 
-    /// The matrix that takes the unit square (0,0), (1,0), (1,1), (0,1) to four points, scaled so that
-    /// its last entry is 1 (P. Heckbert, *Fundamentals of Texture Mapping and Image Warping*, 1989,
-    /// section 2.2.3); `None` if three of them lie on a line.
+    /// The matrix that takes the unit square (0,0), (1,0), (1,1), (0,1) to four points, scaled so
+    /// that its last entry is 1 (P. Heckbert, *Fundamentals of Texture Mapping and Image Warping*,
+    /// 1989, section 2.2.3); `None` if three of them lie on a line.
     pub fn of_unit_square(points: [Vector2<f64>; 4]) -> Option<Matrix3<f64>> {
         let [p0, p1, p2, p3] = points;
         let (d1, d2, sum) = (p1 - p2, p3 - p2, p0 - p1 + p2 - p3);

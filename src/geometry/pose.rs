@@ -107,8 +107,8 @@ impl std::ops::Mul<Vector3<f64>> for Pose {
     }
 }
 
-/// The six numbers of a small change of a pose: its rotation vector in radians, then its translation
-/// in meters.
+/// The six numbers of a small change of a pose: its rotation vector in radians, then its
+/// translation in meters.
 pub(crate) fn pose_step(rotation: &Vector3<f64>, translation: &Vector3<f64>) -> Vector6<f64> {
     Vector6::from_fn(|row, _| if row < 3 { rotation[row] } else { translation[row - 3] })
 }

@@ -32,8 +32,8 @@ pub struct GraphPlan {
     pub session: Option<SessionRequest>,
     /// Whether camera_info comes with each image too, with the image's stamp.
     pub info_with_images: bool,
-    /// What rectified images show, by the P of camera_info: with 0 every pixel of them is seen, with
-    /// 1 all that was seen is in them.
+    /// What rectified images show, by the P of camera_info: with 0 every pixel of them is seen,
+    /// with 1 all that was seen is in them.
     pub alpha: f64,
     /// The cameras and rigs, which change with the configuration.
     pub instruments: watch::Receiver<InstrumentsOnGraph>,

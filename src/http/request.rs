@@ -44,8 +44,8 @@ impl<S: Send + Sync> FromRequestParts<S> for Parameters {
     }
 }
 
-/// A query that a struct describes in the API's document, and that is read into that struct: what is
-/// documented is what is read.
+/// A query that a struct describes in the API's document, and that is read into that struct: what
+/// is documented is what is read.
 pub(super) trait ReadQuery: Sized {
     /// # Errors
     /// 422 that names the parameter whose value cannot be.

@@ -15,8 +15,8 @@ pub(super) fn sensor_kind() -> Object {
     one_of(SensorKind::ALL.map(SensorKind::name))
 }
 
-/// What a lens may be asked for, as least and most: wider than what is built, and narrow enough that
-/// every figure that follows from it is a number.
+/// What a lens may be asked for, as least and most: wider than what is built, and narrow enough
+/// that every figure that follows from it is a number.
 pub(super) const F_NUMBER: [f64; 2] = [0.1, 1e3];
 pub(super) const PIXEL_UM: [f64; 2] = [0.01, 1e3];
 pub(super) const FOCAL_MM: [f64; 2] = [0.01, 1e5];

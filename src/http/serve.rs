@@ -111,8 +111,8 @@ pub async fn serve(
     Ok(())
 }
 
-/// Answers one client. Where connections are secured, one that does not secure its own is only answered
-/// that, and whether the daemon is alive: its watchdog asks that.
+/// Answers one client. Where connections are secured, one that does not secure its own is only
+/// answered that, and whether the daemon is alive: its watchdog asks that.
 async fn serve_one<S>(
     http: http1::Builder,
     mut stream: WatchedStream<TcpStream>,

@@ -71,7 +71,8 @@ impl Shared {
         })
     }
 
-    /// Resolves when the daemon goes down, or when whoever asked with `headers` may not ask any more.
+    /// Resolves when the daemon goes down, or when whoever asked with `headers` may not ask any
+    /// more.
     pub(super) fn ended(&self, headers: &HeaderMap) -> impl Future<Output = ()> + Send + use<> {
         let mut stopping = self.stopping.clone();
         let (access, headers) = (Arc::clone(&self.access), headers.clone());

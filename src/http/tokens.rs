@@ -6,8 +6,8 @@
 //! dashboard  view     sha256:…
 //! ```
 //!
-//! `plumb token` writes such lines. A file whose first line is one word is a single token, in plain,
-//! with every right.
+//! `plumb token` writes such lines. A file whose first line is one word is a single token, in
+//! plain, with every right.
 
 use std::fmt;
 

@@ -29,8 +29,8 @@ use crate::store::SensorView;
 const JPEG: &str = "image/jpeg";
 const JPEG_QUALITY: u8 = 90;
 
-/// The views that a session kept, in order, each with its residuals once there is a calibration; all,
-/// or page by page with `limit`. A cursor is a view's number.
+/// The views that a session kept, in order, each with its residuals once there is a calibration;
+/// all, or page by page with `limit`. A cursor is a view's number.
 #[utoipa::path(get, path = "/v1/sessions/{id}/views", operation_id = "list_views", tag = "sessions",
     params(("id" = String, Path, description = "the session's"), PageParameters),
     responses(
@@ -156,9 +156,9 @@ fn view_document(
     })
 }
 
-/// Seen minus predicted, corner by corner, on the board as it was measured; `None` for a view without
-/// a pose. Motion while rows were read is not predicted. A rig's solve may have rotated the labels
-/// of a board that is alike both ways by half a turn: those that fit are meant.
+/// Seen minus predicted, corner by corner, on the board as it was measured; `None` for a view
+/// without a pose. Motion while rows were read is not predicted. A rig's solve may have rotated the
+/// labels of a board that is alike both ways by half a turn: those that fit are meant.
 fn residuals_px(
     detection: &Detection,
     sensor: &ImageCalibration,

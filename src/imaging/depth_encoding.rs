@@ -1,5 +1,5 @@
-//! What whoever took a depth image states of its readings: it travels with the image to wherever that
-//! is used.
+//! What whoever took a depth image states of its readings: it travels with the image to wherever
+//! that is used.
 
 use crate::geometry::depth_camera::DepthReading;
 

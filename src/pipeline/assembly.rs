@@ -4,9 +4,9 @@
 //!
 //! It works on the threads of its cameras' detection: whichever of them completes a frame set
 //! finishes it, so that nothing waits here but frames that miss a partner, and of those each camera
-//! has [`LIMIT`] at most. A live camera never waits: frame sets go on without a lost camera, or once
-//! another camera's queue exceeds the limit. Replays that must not skip wait for each other, so that
-//! their results are reproducible.
+//! has [`LIMIT`] at most. A live camera never waits: frame sets go on without a lost camera, or
+//! once another camera's queue exceeds the limit. Replays that must not skip wait for each other,
+//! so that their results are reproducible.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, PoisonError};

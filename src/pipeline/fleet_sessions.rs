@@ -73,7 +73,8 @@ impl Fleet {
         self.end_session(id, Message::Abort).await
     }
 
-    /// Gives up session `id`, which no camera or rig goes on with. Blocks while cameras are exchanged.
+    /// Gives up session `id`, which no camera or rig goes on with. Blocks while cameras are
+    /// exchanged.
     ///
     /// # Errors
     /// [`EndError`]; a session that is over, or that its camera goes on with, is not touched.

@@ -50,8 +50,9 @@ pub fn recordings_folder(store: &Path) -> PathBuf {
     store.join("recordings")
 }
 
-/// Deletes the recordings in `folder` that `retention` does not keep, oldest first; with `only_list`
-/// they are named and stay. For a store that no daemon has open: each recording there has ended.
+/// Deletes the recordings in `folder` that `retention` does not keep, oldest first; with
+/// `only_list` they are named and stay. For a store that no daemon has open: each recording there
+/// has ended.
 ///
 /// # Errors
 /// What the system refuses.
@@ -72,7 +73,8 @@ pub fn prune_folder(
 mod tests {
     use super::*;
 
-    /// Five recordings of a million bytes on five days, the oldest first in name; the newest goes on.
+    /// Five recordings of a million bytes on five days, the oldest first in name; the newest goes
+    /// on.
     fn recordings(folder: &Path) -> Vec<RecordingStatus> {
         let status = |day: i64| RecordingStatus {
             id: format!("r{day}"),

@@ -97,8 +97,8 @@ impl SessionThread {
         }
     }
 
-    /// After a fault: what is in memory of the session may be half changed. Its stored views stay, and
-    /// its cameras are free for another one.
+    /// After a fault: what is in memory of the session may be half changed. Its stored views stay,
+    /// and its cameras are free for another one.
     fn give_up(&mut self, fault: &str) {
         tracing::error!(instrument = self.instrument.name, "{fault}");
         self.unstored = None;

@@ -1,6 +1,6 @@
-//! What the hand-overs between threads lock and wait on. `interleavings` compiles them a second time
-//! with the primitives of `shuttle` in this place, so that their tests run in many orders of their
-//! threads.
+//! What the hand-overs between threads lock and wait on. `interleavings` compiles them a second
+//! time with the primitives of `shuttle` in this place, so that their tests run in many orders of
+//! their threads.
 
 pub(super) use std::sync::{Condvar, Mutex, MutexGuard};
 

@@ -49,8 +49,8 @@ pub(super) fn image(frame: &Frame, camera: &str, utc_ns: i64) -> Option<Ros2Mess
     Some(Ros2Message { topic: base, type_name: IMAGE, bytes: cdr.0 })
 }
 
-/// What is stated of a sensor's lens, as `camera_info`; `None` for a model that ROS has not. How its
-/// images are rectified is not stated: P has the camera matrix.
+/// What is stated of a sensor's lens, as `camera_info`; `None` for a model that ROS has not. How
+/// its images are rectified is not stated: P has the camera matrix.
 pub(super) fn camera_info(
     camera: &str,
     sensor: SensorKind,

@@ -23,8 +23,8 @@ const STEP_M: f64 = 0.12;
 const TOE_IN: f64 = 0.1;
 
 impl Seat {
-    /// The `number`-th camera of the rig of `seed`: 12 cm to the right of the one before and rotated
-    /// inward by 6°, both only about.
+    /// The `number`-th camera of the rig of `seed`: 12 cm to the right of the one before and
+    /// rotated inward by 6°, both only about.
     pub fn on_rig(seed: u64, number: u32, first_lens: Lens) -> Self {
         let mut rng = stream(seed, Purpose::Seat, u64::from(number));
         let mut about = |spread: f64| Vector3::from_fn(|_, _| rng.random_range(-spread..spread));

@@ -101,8 +101,8 @@ fn texture([u, v]: [f64; 2], salt: u64, footprint: f64) -> f64 {
     light.clamp(0.02, 0.98)
 }
 
-/// Values from 0 to 1 at the corners of a grid, smooth between them: the same for the same place and
-/// `salt`.
+/// Values from 0 to 1 at the corners of a grid, smooth between them: the same for the same place
+/// and `salt`.
 ///
 /// ```
 /// use plumb::simulation::smooth_noise;

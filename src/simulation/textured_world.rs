@@ -29,7 +29,8 @@ pub enum Scenery {
 /// How the camera is carried.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CameraPath {
-    /// Around the middle of the scene, every third image rotated by 90 degrees about the optical axis.
+    /// Around the middle of the scene, every third image rotated by 90 degrees about the optical
+    /// axis.
     Orbit,
     /// Sideways, upright.
     Sideways,

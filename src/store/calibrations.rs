@@ -65,8 +65,8 @@ impl Store {
     }
 
     /// A page of a camera's calibrations that can be read, newest first: at most `limit`, all when
-    /// left out, after the calibration `after`. Where there are more, also the last one of the page,
-    /// which those come after.
+    /// left out, after the calibration `after`. Where there are more, also the last one of the
+    /// page, which those come after.
     ///
     /// # Errors
     /// [`StoreError::Failed`]; [`StoreError::Missing`] where the camera has no calibration `after`.

@@ -39,8 +39,8 @@ impl Store {
         Self::open_with(folder, 0)
     }
 
-    /// As [`Store::open`], and leaves so many bytes of the disk free: sessions and views are refused
-    /// below that, so that what runs can still be ended.
+    /// As [`Store::open`], and leaves so many bytes of the disk free: sessions and views are
+    /// refused below that, so that what runs can still be ended.
     ///
     /// # Errors
     /// As [`Store::open`].

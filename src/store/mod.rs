@@ -5,8 +5,8 @@
 //! start everything that was acknowledged, and nothing half. Kept pictures live in the database
 //! with their views, so neither is ever without the other. One process at a time: a second one is
 //! refused, but may read: a backup is made of a store that is in use. Rows are added and sessions
-//! updated; a calibration never changes. Each row has a checksum, and one that is damaged is one row:
-//! the others are served, and it is named.
+//! updated; a calibration never changes. Each row has a checksum, and one that is damaged is one
+//! row: the others are served, and it is named.
 
 mod calibrations;
 mod checksum;

@@ -75,8 +75,8 @@ fn first_page_of(path: &Path) -> PathBuf {
 /// place; `finding` is what was found wrong.
 ///
 /// # Errors
-/// [`StoreError::Damaged`] where nothing of it can be read, [`StoreError::Folder`] where the new one
-/// cannot be written. The damaged file is then where it was.
+/// [`StoreError::Damaged`] where nothing of it can be read, [`StoreError::Folder`] where the new
+/// one cannot be written. The damaged file is then where it was.
 pub(super) fn repair(path: &Path, finding: &str) -> Result<RepairReport, StoreError> {
     let unusable = |detail: String| StoreError::Folder { path: path.to_owned(), detail };
     let made = path.with_extension("repaired");

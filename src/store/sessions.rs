@@ -19,7 +19,8 @@ impl Store {
     /// Writes a new session down.
     ///
     /// # Errors
-    /// [`StoreError::NoRoom`]; [`StoreError::Failed`], also when its id is taken; [`StoreError::Unstorable`].
+    /// [`StoreError::NoRoom`]; [`StoreError::Failed`], also when its id is taken;
+    /// [`StoreError::Unstorable`].
     pub fn begin_session(&self, record: &SessionRecord) -> Result<(), StoreError> {
         self.has_room(0)?;
         let document = document(record)?;
@@ -80,8 +81,8 @@ impl Store {
     }
 
     /// A page of the sessions that can be read, newest first: at most `limit`, after the session
-    /// `after`; where `camera` is given only those of which [`SessionRecord::is_of`] it holds. Where
-    /// there are more, also the last session of the page, which those come after.
+    /// `after`; where `camera` is given only those of which [`SessionRecord::is_of`] it holds.
+    /// Where there are more, also the last session of the page, which those come after.
     ///
     /// # Errors
     /// [`StoreError::Failed`]; [`StoreError::Missing`] where there is no session `after`.

@@ -58,8 +58,8 @@ pub(super) fn known() -> usize {
     UPGRADES.len()
 }
 
-/// The version of a store by its tables and their columns, whatever its header says; `None` for what
-/// has those of no version that is known here.
+/// The version of a store by its tables and their columns, whatever its header says; `None` for
+/// what has those of no version that is known here.
 pub(super) fn version_of(connection: &Connection) -> Option<usize> {
     let found = columns_of(connection).ok()?;
     (1..=UPGRADES.len()).rev().find(|version| {

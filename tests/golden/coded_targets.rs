@@ -304,7 +304,8 @@ fn columns(image: &GrayImage, range: std::ops::Range<usize>) -> GrayImage {
     GrayImage::from_pixels(range.len(), HEIGHT, pixels).expect("so many pixels")
 }
 
-/// The two layouts of a board of even rows and odd columns have the same markers one square from each other.
+/// The two layouts of a board of even rows and odd columns have the same markers one square from
+/// each other.
 #[test]
 fn part_of_a_board_is_labeled_where_one_of_its_own_ends_is_seen() {
     let (left, right) = (0..WIDTH * 11 / 20, WIDTH * 9 / 20..WIDTH);

@@ -172,8 +172,8 @@ fn an_uneven_board_is_named_and_no_rolling_shutter() {
     }
 }
 
-/// Whoever projects the measured board by the lens and the poses that are stated finds the residuals
-/// that are stated.
+/// Whoever projects the measured board by the lens and the poses that are stated finds the
+/// residuals that are stated.
 #[test]
 fn what_is_stated_of_a_badly_printed_board_reprojects() {
     let camera = SeededCamera::ordinary();

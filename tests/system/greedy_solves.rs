@@ -12,8 +12,8 @@ use crate::served::Served;
 /// An answer that takes longer has failed.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Views of a flat grid by a camera of 600 px, each pixel a little off its place, so that nothing is
-/// exact and everything has to be tried.
+/// Views of a flat grid by a camera of 600 px, each pixel a little off its place, so that nothing
+/// is exact and everything has to be tried.
 fn problem(views: u32, cols: u32, rows: u32) -> Value {
     let off = |k: f64| ((k * 12.9898).sin() * 43758.5453).fract() * 0.5;
     let view = |k: u32| {

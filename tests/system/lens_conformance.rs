@@ -163,7 +163,8 @@ fn derivatives_are_true(lens: &Lens) {
             moved[axis] += t;
             lens.pixel_from_point(&moved)
         });
-        // A small rotation and translation of the camera frame after the pose: δ · camera_from_board.
+        // A small rotation and translation of the camera frame after the pose: δ ·
+        // camera_from_board.
         let point_in_board = camera_from_board.inverse() * point;
         let by_pose = numeric([1e-4; 6], |axis, t| {
             let mut change = [0.0; 6];
@@ -198,8 +199,8 @@ fn derivatives_are_true(lens: &Lens) {
     assert!(checked > 400, "only {checked} pixels could be checked");
 }
 
-/// d(pixel)/d(rotation, translation) for a rotation and translation applied after the pose: the point moves by rotation ×
-/// point + translation.
+/// d(pixel)/d(rotation, translation) for a rotation and translation applied after the pose: the
+/// point moves by rotation × point + translation.
 fn pose_derivative(by_point: &Matrix2x3<f64>, point: &Point3<f64>) -> SMatrix<f64, 2, 6> {
     let cross =
         Matrix3::new(0.0, point.z, -point.y, -point.z, 0.0, point.x, point.y, -point.x, 0.0);

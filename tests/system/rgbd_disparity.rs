@@ -1,5 +1,6 @@
-//! A folder of color and raw disparity as the daemon's camera: what its `sensors.toml` says is read,
-//! kept with the session, and leads to the answer that the command line gives for the same views.
+//! A folder of color and raw disparity as the daemon's camera: what its `sensors.toml` says is
+//! read, kept with the session, and leads to the answer that the command line gives for the same
+//! views.
 
 use std::fs;
 use std::path::Path;

@@ -1,9 +1,9 @@
 //! A rig whose cameras are not as they should be, through the daemon: one gives a third of the
-//! others' frames, one stalls, and is gone in the end. The session goes on with what the others give,
-//! nothing piles up, every frame is accounted for, and a stop still gives a calibration.
+//! others' frames, one stalls, and is gone in the end. The session goes on with what the others
+//! give, nothing piles up, every frame is accounted for, and a stop still gives a calibration.
 //!
-//! Each frame is a named pipe in the camera's folder: the daemon waits for it as for a device, until
-//! the test gives it.
+//! Each frame is a named pipe in the camera's folder: the daemon waits for it as for a device,
+//! until the test gives it.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -21,12 +21,13 @@ const SHOWN: usize = 3;
 const IMAGES: usize = 30;
 /// Those that are shown while one camera stalls.
 const WHILE_STALLED: usize = 20;
-/// Frames of each camera that no session asked for: one before it begins, and one that was asked for
-/// before.
+/// Frames of each camera that no session asked for: one before it begins, and one that was asked
+/// for before.
 const NOBODYS: u64 = 2;
 /// What is given or waited for takes less time than this, or never comes.
 const LIMIT: Duration = Duration::from_secs(60);
-/// Frames that may wait for the stalled camera's, as `lib.rs` has it: 16, and the one that is taken.
+/// Frames that may wait for the stalled camera's, as `lib.rs` has it: 16, and the one that is
+/// taken.
 const MAY_WAIT: u64 = 17;
 /// 60 frames of 640×480 that were kept with their pixels would be 18 MB; the running estimates' own
 /// memory comes and goes.

@@ -1,5 +1,5 @@
-//! HTTP by TLS: a client that knows the certificate is answered, one in plain is answered what to do,
-//! and a renewed certificate is taken without a restart.
+//! HTTP by TLS: a client that knows the certificate is answered, one in plain is answered what to
+//! do, and a renewed certificate is taken without a restart.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;

@@ -45,8 +45,8 @@ const DENIED_PHRASES: &[(&str, &str)] = &[
 /// Where a word means what it says: lists and labels that are shifted by whole places.
 const SHIFTED_BY_PLACES: &[&str] = &["list_shift", "view_fault", "solve_rig", "bad_views"];
 
-/// Where a denied word stands for now. It only ever gets shorter: `picture` is a column of the store,
-/// with what reads it.
+/// Where a denied word stands for now. It only ever gets shorter: `picture` is a column of the
+/// store, with what reads it.
 const NOT_YET: &[(&str, &[&str])] = &[
     ("picture", &["src/store", "src/pipeline", "src/http/views.rs"]),
     ("pictures", &["src/store"]),

@@ -113,7 +113,8 @@ impl DepthGoal {
     /// What views are compared by, in pixels: a power mean over the distances, or over all pixels
     /// where the worst of them is to fall, as [`ProjectionGoal::criterion_px`] has it.
     ///
-    /// [`ProjectionGoal::criterion_px`]: crate::calibration::information::projection_goal::ProjectionGoal::criterion_px
+    /// [`ProjectionGoal::criterion_px`]:
+    /// crate::calibration::information::projection_goal::ProjectionGoal::criterion_px
     pub fn criterion_px(&self, std_px: &[f64]) -> f64 {
         match self.figure {
             GoalFigure::Median => power_mean(&self.figures_px(std_px)),

@@ -12,8 +12,9 @@
 //! not known by. t is by how much neighboring readings err together.
 //!
 //! Where infrared sees boards, its corners teach lens and pose, and planes the error in depth
-//! alone, with R and S their blocks (error, error) and (error, lens and pose) of the sum over views,
-//! κ what they say of the error by color's lens, and N₁ and K₁ what corners say of lens and pose:
+//! alone, with R and S their blocks (error, error) and (error, lens and pose) of the sum over
+//! views, κ what they say of the error by color's lens, and N₁ and K₁ what corners say of lens and
+//! pose:
 //!
 //! ```text
 //! N = [N₁ + Sᵀ R⁻¹ S, Sᵀ; S, R]      K = [K₁ + Sᵀ R⁻¹ κ; κ]

@@ -219,8 +219,8 @@ impl DepthTeaching {
         PosedDepthLens { lens: same_view(color.lens(), color.size(), self.size), ..guess }
     }
 
-    /// What the corners `seen` by infrared in its image show, which is depth's image; `color` is the
-    /// camera beside it.
+    /// What the corners `seen` by infrared in its image show, which is depth's image; `color` is
+    /// the camera beside it.
     pub fn see(
         &mut self,
         seen: BoardView,

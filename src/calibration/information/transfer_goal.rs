@@ -83,7 +83,8 @@ impl TransferGoal {
 
     /// What views are compared by, as [`ProjectionGoal::criterion_px`] has it.
     ///
-    /// [`ProjectionGoal::criterion_px`]: crate::calibration::information::projection_goal::ProjectionGoal::criterion_px
+    /// [`ProjectionGoal::criterion_px`]:
+    /// crate::calibration::information::projection_goal::ProjectionGoal::criterion_px
     pub fn criterion_px(&self, std_px: &[f64]) -> f64 {
         match self.figure {
             GoalFigure::Median => self.figure_px(std_px),

@@ -107,8 +107,8 @@ pub(super) struct ImagePairs {
     /// By image but the last, the part of its features that show what the next image shows at
     /// several places.
     pub repeated: Vec<f64>,
-    /// By image, an earlier one that shows the same from the same place: such an image is in no pair
-    /// and no track, since what it says was already said, errors and all.
+    /// By image, an earlier one that shows the same from the same place: such an image is in no
+    /// pair and no track, since what it says was already said, errors and all.
     pub same_as: Vec<Option<usize>>,
 }
 
@@ -197,8 +197,8 @@ pub(super) fn correspond(
 /// What the matches of a pair of images determine, with the matches.
 type Matched = Option<(Vec<Match>, Vec<PointPair>, TwoViewGeometry)>;
 
-/// By image, the first earlier one of the same view, of those that have none themselves: an image of
-/// a slow motion is compared with the last that was kept, not with the one before.
+/// By image, the first earlier one of the same view, of those that have none themselves: an image
+/// of a slow motion is compared with the last that was kept, not with the one before.
 fn same_views<'a>(
     images: &[SceneImage],
     matched: impl Iterator<Item = (&'a (usize, usize), &'a Matched)>,

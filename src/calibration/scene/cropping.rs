@@ -12,15 +12,15 @@ use crate::geometry::pixel::ImageSize;
 
 /// How often images of a shape that cameras have are parts of larger ones.
 const KNOWN_SHAPE: f64 = 0.03;
-/// How often images of another shape are: some sensors have one, but most such images were cropped or
-/// rectified.
+/// How often images of another shape are: some sensors have one, but most such images were cropped
+/// or rectified.
 const OTHER_SHAPE: f64 = 0.5;
 
 /// Widths over heights of sensors and of what is read from them.
 const SHAPES: [f64; 8] =
     [1.0, 5.0 / 4.0, 4.0 / 3.0, 3.0 / 2.0, 752.0 / 480.0, 16.0 / 10.0, 16.0 / 9.0, 17.0 / 9.0];
-/// Shapes differ by less, as a part of themselves: 4256 × 2832 is called 3:2 and 848 × 480 16:9, and
-/// the heights of reduced images are rounded.
+/// Shapes differ by less, as a part of themselves: 4256 × 2832 is called 3:2 and 848 × 480 16:9,
+/// and the heights of reduced images are rounded.
 const SAME_SHAPE: f64 = 0.0065;
 
 /// How likely images of `size` are parts of larger ones, before what they show.
@@ -74,8 +74,8 @@ fn center_parameters(fit: &LensFit) -> usize {
     fit.fit.bundle.free.iter().filter(|k| [CX, CY].contains(k)).count()
 }
 
-/// The logarithm of how likely the observations are under a fit's prior, by Laplace's approximation,
-/// up to what fits under either share.
+/// The logarithm of how likely the observations are under a fit's prior, by Laplace's
+/// approximation, up to what fits under either share.
 fn log_evidence(fit: &LensFit) -> f64 {
     let bundle = &fit.fit.bundle;
     let Some(root) = fit.covariance.independent.clone().cholesky() else {

@@ -113,8 +113,8 @@ const PLAUSIBLE_M: [f64; 2] = [0.03, 100.0];
 const MOST_ROUNDS: usize = 8;
 /// Scales that differ by less are the same.
 const SAME: f64 = 1e-6;
-/// The standard deviation of a depth camera's own scale, as a part of it: cameras are sold as within
-/// 2 %, which are two of these.
+/// The standard deviation of a depth camera's own scale, as a part of it: cameras are sold as
+/// within 2 %, which are two of these.
 const OWN_SCALE_STD: f64 = 0.01;
 /// Regions along each side of the depth image, in which its error is much the same.
 const REGIONS: usize = 4;
@@ -348,8 +348,8 @@ fn scene_points(scene: &SceneCalibration) -> Vec<Point3<f64>> {
     scene.points.iter().map(|point| point.point).collect()
 }
 
-/// The points whose depth is certain, each with its standard deviation as a part of it: the noise of
-/// their pixels over the focal length and the widest angle between their rays.
+/// The points whose depth is certain, each with its standard deviation as a part of it: the noise
+/// of their pixels over the focal length and the widest angle between their rays.
 fn certain_points(scene: &SceneCalibration) -> Vec<(usize, f64)> {
     let centers: Vec<Option<Point3<f64>>> = scene
         .views

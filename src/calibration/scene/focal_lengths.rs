@@ -1,5 +1,5 @@
-//! Whether images are by one focal length, by what they show: two cameras, a zoom that was moved, or
-//! a focus that follows what is near.
+//! Whether images are by one focal length, by what they show: two cameras, a zoom that was moved,
+//! or a focus that follows what is near.
 
 use nalgebra::{DVector, RowDVector};
 
@@ -56,8 +56,8 @@ pub(super) fn other_focals(start: &Reconstruction, fit: &LensFit) -> Option<Othe
 
 /// A square of a difference, in standard deviations, that is no chance where the best of all splits
 /// of images with `freedom` differences was taken: it is at most the sum of the squares of as many
-/// normal deviates, which exceeds its mean by four standard deviations and ten less than once in ten
-/// thousand.
+/// normal deviates, which exceeds its mean by four standard deviations and ten less than once in
+/// ten thousand.
 fn no_chance(freedom: usize) -> f64 {
     let freedom = freedom as f64;
     freedom + 4.0 * (2.0 * freedom).sqrt() + 10.0

@@ -73,8 +73,8 @@ pub fn admit_key_frame(image: &SceneImage, kept: &[KeyFrame]) -> Result<(), Reje
     after_last.known().or_else(|_| after_similar.known())
 }
 
-/// Where `image` shows what a key frame shows: the matches of their strongest features that agree on
-/// the geometry of two views, the key frame's first. Empty where they show nothing together.
+/// Where `image` shows what a key frame shows: the matches of their strongest features that agree
+/// on the geometry of two views, the key frame's first. Empty where they show nothing together.
 pub fn shared_points(key_frame: &SceneImage, image: &SceneImage) -> Vec<PointPair> {
     let pairs = strongest_matches(key_frame, image);
     let geometry = two_view_geometry(&pairs, image.size);

@@ -1,6 +1,6 @@
-//! Where the images of a reconstruction show the same point of a surface, more exactly than keypoints
-//! do. The extremum of a scale space lies elsewhere on a surface when that is seen
-//! at another slant, and the center of a spot is not seen at the center of its image: errors that
+//! Where the images of a reconstruction show the same point of a surface, more exactly than
+//! keypoints do. The extremum of a scale space lies elsewhere on a surface when that is seen at
+//! another slant, and the center of a spot is not seen at the center of its image: errors that
 //! neighboring images share, and that a lens takes up. So one image's patch is found again in the
 //! others by least squares (A. Grün, *Adaptive least squares correlation*, 1985), warped as the
 //! surface's slope, the poses and the lens say; the slope is one of the unknowns.

@@ -8,8 +8,8 @@ use crate::imaging::stated_camera::StatedCamera;
 /// Focal lengths differ by more, as a part of themselves, where a zoom was moved: files state them
 /// to a hundredth of a millimeter to a whole one.
 const SAME_FOCAL: f64 = 0.01;
-/// Shapes differ by more, as a part of themselves, where an image was cropped: rounding changes that
-/// of an image of 200 pixels by less.
+/// Shapes differ by more, as a part of themselves, where an image was cropped: rounding changes
+/// that of an image of 200 pixels by less.
 const SAME_SHAPE: f64 = 0.01;
 
 /// Refuses images whose files state different cameras or focal lengths.

@@ -13,8 +13,8 @@ const FOCAL_STD: [f64; 2] = [0.002, 0.01];
 const KNOWN_TO: [f64; 2] = [0.0005, 0.00125];
 /// … in this part of the image.
 const KNOWN_PART: [f64; 2] = [0.95, 0.67];
-/// How many times larger the uncertainty is than if each observation erred by itself: residuals that
-/// keep half of their errors show half as much.
+/// How many times larger the uncertainty is than if each observation erred by itself: residuals
+/// that keep half of their errors show half as much.
 const SHARED: [f64; 2] = [6.0, 18.0];
 /// The part of the observations that was not used.
 const OUTLIERS: [f64; 2] = [0.15, 0.4];

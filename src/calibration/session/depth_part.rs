@@ -43,8 +43,8 @@ pub(super) struct DepthPart {
 /// Depth that fits no camera after so many views is left to the verdict: a session that waited for
 /// it would never end.
 const GIVEN_UP: usize = 10;
-/// Depth does not count from so many views on. It is a guard: of 31 seeded sessions, 15 of them begun
-/// with three frontal boards, none took more than 11 views with depth (docs/guidance.md).
+/// Depth does not count from so many views on. It is a guard: of 31 seeded sessions, 15 of them
+/// begun with three frontal boards, none took more than 11 views with depth (docs/guidance.md).
 const MOST_MEASURED: usize = 40;
 
 impl DepthPart {

@@ -3,8 +3,8 @@
 //!
 //! A gate knows the views that the session had kept a while ago. While there is room views are only
 //! ever added, and each view that is kept rejects more frames, so that a gate lets through all that
-//! the session will keep, and little else. A full session exchanges views: then no frame is like one
-//! that it is known to have.
+//! the session will keep, and little else. A full session exchanges views: then no frame is like
+//! one that it is known to have.
 
 use crate::calibration::admission::{AdmissionOptions, SeenBefore, admit};
 use crate::calibration::placement::Placement;

@@ -5,9 +5,8 @@
 //! A single camera is an instrument of one. Each camera keeps the views that teach something of its
 //! own lens; with each of them, the other cameras that see the board in that frame set keep theirs
 //! too, new to them or not: it says where they are. What two cameras see together is also kept for
-//! what it teaches of both (`pairs`), and what depth measures for what it teaches of the depth camera
-//! (`depth_part`). A view is shared only if the board hardly moved between the
-//! two images.
+//! what it teaches of both (`pairs`), and what depth measures for what it teaches of the depth
+//! camera (`depth_part`). A view is shared only if the board hardly moved between the two images.
 //!
 //! It reads no clock and starts no thread: time comes inside frames and requests. Which views are
 //! kept depends on the frames alone; only reaching an uncertainty goal depends on when estimates
@@ -225,7 +224,8 @@ impl Session {
         self.record.solved(outcome, now_ns)
     }
 
-    /// Takes the calibration that answers [`Action::Solve`]: the estimate is as it says from now on.
+    /// Takes the calibration that answers [`Action::Solve`]: the estimate is as it says from now
+    /// on.
     pub fn calibrated(&mut self, calibration: &Calibration) -> Vec<Action> {
         self.record.calibrated(calibration)
     }

@@ -14,8 +14,8 @@ use crate::calibration::session_record::{Finish, SessionMember};
 use crate::calibration::view::FrameFacts;
 use crate::geometry::pixel::ImageSize;
 
-/// An uncertainty estimated from fewer key frames is not worth stopping for, unless the request says
-/// so.
+/// An uncertainty estimated from fewer key frames is not worth stopping for, unless the request
+/// says so.
 const LEAST_KEY_FRAMES_FOR_GOAL: u32 = 6;
 /// What to do before the first estimate.
 const FIRST_STEP: &str =

@@ -298,9 +298,9 @@ fn find(selector: &Selector) -> Result<CameraInfo, CaptureError> {
 }
 
 /// A buffer as a frame of the mode that was set; `None` when it holds less than it should, or a
-/// format that is not read. On Linux nokhwa hands over the driver's whole buffer: a JPEG is followed
-/// by what earlier, larger ones left there. What it says of the buffer is not read: it does not know
-/// gray images there.
+/// format that is not read. On Linux nokhwa hands over the driver's whole buffer: a JPEG is
+/// followed by what earlier, larger ones left there. What it says of the buffer is not read: it
+/// does not know gray images there.
 fn frame_of(buffer: &Buffer, mode: CameraFormat) -> Option<Frame> {
     let format = pixel_format(mode.format())?;
     let size = size_of(mode);

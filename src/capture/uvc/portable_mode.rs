@@ -29,8 +29,8 @@ pub(super) const ALL: [FrameFormat; 6] = {
     all
 };
 
-/// Those that nokhwa 0.10 can set on Linux. Gray images it knows there by a code that no driver has;
-/// they are set beside it.
+/// Those that nokhwa 0.10 can set on Linux. Gray images it knows there by a code that no driver
+/// has; they are set beside it.
 #[cfg(target_os = "linux")]
 pub(super) const KNOWN_ON_LINUX: [&str; 5] = ["NV12", "YUYV", "RGB3", "BGR3", "MJPG"];
 

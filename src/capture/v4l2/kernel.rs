@@ -132,7 +132,8 @@ pub(super) fn set_control_value(device: &Device, id: u32, value: i32) -> io::Res
 /// Sets the format of an open descriptor, and gives the one it has then.
 #[cfg(feature = "nokhwa")]
 pub(super) fn set_format(descriptor: RawFd, size: ImageSize, code: FourCC) -> io::Result<Format> {
-    // SAFETY: all zeros is a valid `v4l2_format`: it is integers, and a union of structures of them.
+    // SAFETY: all zeros is a valid `v4l2_format`: it is integers, and a union of structures of
+    // them.
     let mut argument: v4l2_format = unsafe { mem::zeroed() };
     argument.type_ = buffer::Type::VideoCapture as u32;
     argument.fmt.pix = Format::new(size.width, size.height, code).into();

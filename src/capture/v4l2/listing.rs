@@ -40,8 +40,8 @@ pub(in crate::capture) fn may_give_images(number: u32) -> bool {
     kernel::capability(&opened).is_ok_and(|capability| capability.streams_video())
 }
 
-/// Sets `/dev/video{number}` to the first of `formats` (four-character codes) that it has, unless it
-/// stands at one of them already. What fails is left to whoever opens it then.
+/// Sets `/dev/video{number}` to the first of `formats` (four-character codes) that it has, unless
+/// it stands at one of them already. What fails is left to whoever opens it then.
 #[cfg(feature = "nokhwa")]
 pub(in crate::capture) fn set_to_one_of(number: u32, formats: &[&str]) {
     let Ok(device) = open_device(&PathBuf::from(format!("/dev/video{number}"))) else { return };

@@ -1,8 +1,8 @@
 //! Where a pixel lies in the lattice, near one crossing: the homography of the crossings around it,
 //! and the quadratic form of the place that a lens's distortion adds to it.
 //!
-//! A homography alone leaves 0.1 px and more of the lines beside a crossing where a lens distorts by
-//! a few percent: too much where blur makes of each line what moves the next one.
+//! A homography alone leaves 0.1 px and more of the lines beside a crossing where a lens distorts
+//! by a few percent: too much where blur makes of each line what moves the next one.
 
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 

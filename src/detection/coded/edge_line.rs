@@ -66,8 +66,8 @@ impl EdgePlaces {
         self.places.clear();
     }
 
-    /// Adds what `image` shows at `center`, `along` pixels from where places are counted, `half_px` to
-    /// either side in the direction `across`.
+    /// Adds what `image` shows at `center`, `along` pixels from where places are counted, `half_px`
+    /// to either side in the direction `across`.
     pub(super) fn measure(
         &mut self,
         image: GrayView<'_>,

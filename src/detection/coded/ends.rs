@@ -2,8 +2,8 @@
 //!
 //! The two layouts of a ChArUco board of even rows have the same markers in the same order, moved
 //! by one square: of a part of it only the board's ends distinguish them. Beyond an outer bright
-//! square lies bright paper if the board ends there, and a dark square if it goes on. Ends that both
-//! layouts share, as the top of a board whose layouts differ by a column, say nothing.
+//! square lies bright paper if the board ends there, and a dark square if it goes on. Ends that
+//! both layouts share, as the top of a board whose layouts differ by a column, say nothing.
 
 use crate::detection::coded::chart::{Chart, ChartPair};
 use crate::detection::coded::labels::BoardLabel;

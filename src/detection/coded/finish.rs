@@ -235,7 +235,8 @@ impl TargetDetector {
         displaced.into_iter().for_each(|(i, j)| self.grid.remove(i, j));
     }
 
-    /// Drops of the crossings in `held` those that a search would not answer unless it refined them.
+    /// Drops of the crossings in `held` those that a search would not answer unless it refined
+    /// them.
     pub(super) fn drop_unfit(&mut self) {
         let limits = self.thresholds.marker_corners;
         let most_px = (limits.most_standing_off * limits.standing_std_px) as f32;

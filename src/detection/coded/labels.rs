@@ -202,9 +202,10 @@ fn votes(sheet: &Sheet, reading: &MarkerReading, placement: BoardPlacement) -> V
     votes
 }
 
-/// How many of the cells around the lattice, which are read, clearly show markers of the target that
-/// belong elsewhere; `None` if they agree with `label`. Within a lattice the markers of a board are
-/// those of another that is one column narrower or has the other layout; at its ends they are not.
+/// How many of the cells around the lattice, which are read, clearly show markers of the target
+/// that belong elsewhere; `None` if they agree with `label`. Within a lattice the markers of a
+/// board are those of another that is one column narrower or has the other layout; at its ends they
+/// are not.
 pub(super) fn contradicted_around(
     sheet: &Sheet,
     reading: &MarkerReading,

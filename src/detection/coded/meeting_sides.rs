@@ -27,9 +27,9 @@ use crate::imaging::gray::GrayView;
 /// How far to either side an edge is sampled, in standard deviations of the blur, beside one pixel:
 /// blur leaves black and white alone there.
 const BLURS: f32 = 3.0;
-/// What a corner that is covered errs by beside the scatter of its sides, in pixels along an axis: 68
-/// of hard sets have 0.09 in all, and scatter alone states as little as 0.02: what covers a corner
-/// may cover part of its sides too.
+/// What a corner that is covered errs by beside the scatter of its sides, in pixels along an axis:
+/// 68 of hard sets have 0.09 in all, and scatter alone states as little as 0.02: what covers a
+/// corner may cover part of its sides too.
 const COVERED_STD_PX: f64 = 0.1;
 /// Known corners that are measured, and offsets of their sides that are enough to go by.
 const REFERENCES: usize = 12;

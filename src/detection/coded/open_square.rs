@@ -1,5 +1,5 @@
-//! A square of which three corners are candidates: the fourth is searched for where the edges of its
-//! neighbors meet.
+//! A square of which three corners are candidates: the fourth is searched for where the edges of
+//! its neighbors meet.
 
 use crate::detection::coded::detector::TargetDetector;
 use crate::detection::coded::lattice::{LatticeScene, settle};
@@ -10,9 +10,9 @@ use crate::detection::search::seeds::Seed;
 use crate::imaging::gray::GrayView;
 
 impl TargetDetector {
-    /// The square of three candidates, the first of them and a quarter about it given as `at`, whose
-    /// fourth corner is too blurred to be a candidate, or a gap separates the squares that meet
-    /// there; `None` if no crossing is measured there either. The fourth becomes a candidate.
+    /// The square of three candidates, the first of them and a quarter about it given as `at`,
+    /// whose fourth corner is too blurred to be a candidate, or a gap separates the squares that
+    /// meet there; `None` if no crossing is measured there either. The fourth becomes a candidate.
     pub(super) fn close(
         &mut self,
         view: GrayView<'_>,

@@ -174,7 +174,8 @@ impl Sheets {
 }
 
 /// The vectors of `count` markers from `first` on, each as it appears in the grid's axes if the
-/// sheet is rotated by 0 to 3 quarters from +x to +y; `printed`: quarters by which they are printed.
+/// sheet is rotated by 0 to 3 quarters from +x to +y; `printed`: quarters by which they are
+/// printed.
 fn codes(dictionary: &Dictionary, first: usize, count: usize, printed: usize) -> Vec<f32> {
     let n = dictionary.bits();
     let mut codes = Vec::with_capacity(count * 4 * n * n);
@@ -199,8 +200,8 @@ fn codes(dictionary: &Dictionary, first: usize, count: usize, printed: usize) ->
     codes
 }
 
-/// The mean agreement with their codes of markers that are printed with the payload at one inset and
-/// read with it at another.
+/// The mean agreement with their codes of markers that are printed with the payload at one inset
+/// and read with it at another.
 fn mistaken(codes: &[f32], bits: usize, [read, printed]: [f32; 2]) -> f32 {
     // The cell of the print, of so many, in which a part of a cell that is read lies.
     let cell = |index: usize, part: f32| {

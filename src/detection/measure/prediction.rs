@@ -180,8 +180,8 @@ pub(in crate::detection) fn sharpen_all(
     }
 }
 
-/// The corner of `node` where the image shows it, in windows of `reaches`, one after the other. `None` if the
-/// first shows none.
+/// The corner of `node` where the image shows it, in windows of `reaches`, one after the other.
+/// `None` if the first shows none.
 fn sharpen(probe: Probe<'_>, node: &Node, steps: [Vec2; 2], reaches: &[f32]) -> Option<Node> {
     let thresholds = &probe.thresholds.measure;
     let most_px = probe.thresholds.windows.0[0].most_px;

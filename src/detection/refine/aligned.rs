@@ -32,8 +32,8 @@ pub(super) struct Aligned {
 }
 
 impl Refiner {
-    /// Replaces `refined` by where the print is most like the image, from where corners are known by
-    /// now, if that is more certain for more than half of `corners`. Whether it is.
+    /// Replaces `refined` by where the print is most like the image, from where corners are known
+    /// by now, if that is more certain for more than half of `corners`. Whether it is.
     pub(super) fn align_print(
         &mut self,
         image: GrayView<'_>,

@@ -22,12 +22,12 @@ pub trait BoardPrint {
     fn place_of(&self, corner: usize, pixel: [f64; 2]) -> Option<[f64; 2]>;
 
     /// The mean of the print near the corner of this number over a rectangle about `place` that
-    /// reaches `half` to each side, 1 where all is white and −1 where all is black: as it is, and as
-    /// the two edges through the corner alone would have it.
+    /// reaches `half` to each side, 1 where all is white and −1 where all is black: as it is, and
+    /// as the two edges through the corner alone would have it.
     fn mean(&self, corner: usize, place: [f64; 2], half: [f64; 2]) -> [f32; 2];
 
-    /// Where the print has the corner of this number, in the image in pixels. `None` where that is not
-    /// known.
+    /// Where the print has the corner of this number, in the image in pixels. `None` where that is
+    /// not known.
     fn expected(&self, corner: usize) -> Option<[f64; 2]>;
 
     /// How far from a corner its edges are the only ones, as a part of the way to its neighbors.
@@ -297,8 +297,8 @@ impl PrintPatch {
         self.kernel.extend((-radius..=radius).map(|k| (weight(k) / total) as f32));
     }
 
-    /// Reads the print at all samples of `window` and `margin` around them. Whether other edges than
-    /// the corner's two are printed there.
+    /// Reads the print at all samples of `window` and `margin` around them. Whether other edges
+    /// than the corner's two are printed there.
     fn read(
         &mut self,
         print: &dyn BoardPrint,

@@ -5,8 +5,8 @@
 //! distance and odd in the other's, and so is a slope. The board's polynomial over all corners
 //! cannot follow it. Where a corner fits worse than the others, a polynomial of third order over
 //! its own window is fitted to what the model leaves and taken off, and the model is fitted again,
-//! and so on, while the tolerance to outliers narrows. A last step solves for both together, and its
-//! covariance is the corner's: alone, the model would take the light as known.
+//! and so on, while the tolerance to outliers narrows. A last step solves for both together, and
+//! its covariance is the corner's: alone, the model would take the light as known.
 
 use nalgebra::{SMatrix, SVector};
 

@@ -50,8 +50,8 @@ impl BetweenLevels {
     }
 }
 
-/// Each pixel is the mean of the 1.5×1.5 pixels that it covers: two thirds of one and a third of the
-/// next, which lies up to a twelfth of a pixel of the image off its middle.
+/// Each pixel is the mean of the 1.5×1.5 pixels that it covers: two thirds of one and a third of
+/// the next, which lies up to a twelfth of a pixel of the image off its middle.
 fn reduce_by_a_third(image: GrayView<'_>, into: &mut GrayImage) {
     into.reshape(image.width() / 3 * 2, image.height() / 3 * 2);
     pulp::Arch::new().dispatch(ReduceByAThird { image, into });

@@ -233,8 +233,9 @@ impl LevelSearch {
     }
 }
 
-/// The bounds of the grid of which `grid`, as large as the whole board, is a part: corners beyond it
-/// that a coarser level had no room to measure, two at least on a line. `None` if there are none.
+/// The bounds of the grid of which `grid`, as large as the whole board, is a part: corners beyond
+/// it that a coarser level had no room to measure, two at least on a line. `None` if there are
+/// none.
 fn larger_bounds(
     scene: &SearchScene<'_>,
     growth: &mut Growth,

@@ -7,9 +7,10 @@
 //! | `markers` | boards with markers: lattice, labels, what is reported |
 //! | `entry` | a threshold's value, unit and origin |
 //!
-//! They are one value, [`Thresholds`], that goes through the pipeline beside the image. The sensitivity bench (`benches/thresholds.rs`) changes one
-//! at a time by a fifth and counts what that costs in recall, in wrong boards and in accuracy;
-//! `docs/detection/thresholds.md` is its table.
+//! They are one value, [`Thresholds`], that goes through the pipeline beside the image. The
+//! sensitivity bench (`benches/thresholds.rs`) changes one at a time by a fifth and counts what
+//! that costs in recall, in wrong boards and in accuracy; `docs/detection/thresholds.md` is its
+//! table.
 
 pub mod chessboard;
 mod entry;

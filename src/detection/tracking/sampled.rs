@@ -11,8 +11,8 @@ pub(in crate::detection) fn keep_spread(corners: &mut Vec<GridCorner>, count: us
     corners.truncate(count);
 }
 
-/// The standard deviation of corners as they were `measured`, per axis, in pixels, at least `least`:
-/// from those that were refined, as uncertain as they are. `None` if most could not be.
+/// The standard deviation of corners as they were `measured`, per axis, in pixels, at least
+/// `least`: from those that were refined, as uncertain as they are. `None` if most could not be.
 pub(in crate::detection) fn measured_std_px(
     measured: &[GridCorner],
     refined: &[Option<RefinedCorner>],

@@ -105,8 +105,8 @@ fn first_corner(grid: &Grid, frame: Rectangle, board: BoardSize) -> Option<((i32
         (i + width - 1, j + height - 1),
         (i - 1, j + height - 1),
     ];
-    // At corner 0 columns run along +i without a rotation, at corner 1 with one quarter turn, and so
-    // on.
+    // At corner 0 columns run along +i without a rotation, at corner 1 with one quarter turn, and
+    // so on.
     let upright = (board.cols as i32, board.rows as i32) == (width, height);
     let fits = |quarter_turns: usize| {
         board.cols == board.rows || quarter_turns.is_multiple_of(2) == upright
@@ -146,8 +146,8 @@ mod tests {
     use super::*;
     use crate::detection::grid::Node;
 
-    /// A grid of `width` × `height` corners rotated by `quarter_turns` quarter turns in the image, square
-    /// (0, 0) bright or not.
+    /// A grid of `width` × `height` corners rotated by `quarter_turns` quarter turns in the image,
+    /// square (0, 0) bright or not.
     fn grid(width: i32, height: i32, quarter_turns: i32, bright: bool) -> Grid {
         let mut grid = Grid::default();
         grid.clear(20, bright);

@@ -32,8 +32,9 @@ pub(crate) fn with_effects_from(
     CameraFit { shutter_doubt, ..with.unwrap_or(fit) }
 }
 
-/// A plain fit carried on with the very effects that another lens's fit to the same corners `found`,
-/// so that two lenses can be compared: what one view's motion takes up, no lens is better for.
+/// A plain fit carried on with the very effects that another lens's fit to the same corners
+/// `found`, so that two lenses can be compared: what one view's motion takes up, no lens is better
+/// for.
 pub(crate) fn with_same_effects(
     fit: &CameraFit,
     found: &EffectsFit,
@@ -44,8 +45,8 @@ pub(crate) fn with_same_effects(
     carried_on(fit, size, (same, Corners { observations, faults, limit: fit.robust.limit }))
 }
 
-/// Whether the residuals of a plain fit of one camera hint at effects that [`with_effects`] searches
-/// for.
+/// Whether the residuals of a plain fit of one camera hint at effects that [`with_effects`]
+/// searches for.
 pub(crate) fn may_have_effects(fit: &CameraFit, size: ImageSize, options: &CameraOptions) -> bool {
     let size = [size.width, size.height].map(f64::from);
     wanted(fit, options).and_then(|wanted| plausible(fit, size, wanted)).is_some()

@@ -1,10 +1,10 @@
 //! The posterior of lens, shape and motion for given variances, and the variances themselves by
 //! their evidence: restricted maximum likelihood, by D. MacKay's updates (*Bayesian interpolation*,
-//! 1992, equations 4.9 and 4.10: a variance is what its effects show, over how many of them the data
-//! determine).
+//! 1992, equations 4.9 and 4.10: a variance is what its effects show, over how many of them the
+//! data determine).
 //!
-//! Variances are kept as ratios λ = noise variance / variance of the effect, so that the noise's own
-//! follows in closed form.
+//! Variances are kept as ratios λ = noise variance / variance of the effect, so that the noise's
+//! own follows in closed form.
 
 use nalgebra::{DMatrix, DVector, Matrix6, Vector6};
 

@@ -37,8 +37,9 @@ const MIN_VIEWS: usize = 3;
 /// Rounds of choosing corners anew.
 const MAX_ROUNDS: usize = 4;
 
-/// Estimates effects, starting from a plain fit of one camera, or with the effects that were `found`
-/// with other lenses or poses. `None` where nothing hints at any, or the views do not determine them.
+/// Estimates effects, starting from a plain fit of one camera, or with the effects that were
+/// `found` with other lenses or poses. `None` where nothing hints at any, or the views do not
+/// determine them.
 pub(crate) fn fit_effects(
     plain: &CameraFit,
     found: Option<&EffectsFit>,

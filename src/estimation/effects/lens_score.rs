@@ -8,9 +8,10 @@ use crate::estimation::joint::{BoardObservation, Layout};
 use crate::geometry::lens::Lens;
 
 /// The costs of a fit with effects and of the same with another lens that is near its own, after a
-/// step of everything with the variances as they are; the same twice where the views leave the other
-/// lens open. `stated` are the observations with the board as it was stated, `rows` the height of
-/// the images. `None` where the fit has no effects, or the other lens does not see all corners.
+/// step of everything with the variances as they are; the same twice where the views leave the
+/// other lens open. `stated` are the observations with the board as it was stated, `rows` the
+/// height of the images. `None` where the fit has no effects, or the other lens does not see all
+/// corners.
 pub(crate) fn costs_beside_effects(
     fit: &CameraFit,
     stated: &[BoardObservation],

@@ -7,7 +7,8 @@ use crate::estimation::effects::effects_fit::EffectsFit;
 use crate::estimation::measured_board::{MeasuredBoard, RollingShutter, bow_m};
 
 impl MeasuredBoard {
-    /// `None` where the board's shape is not in the model; `center` is that of the problem's points.
+    /// `None` where the board's shape is not in the model; `center` is that of the problem's
+    /// points.
     pub(crate) fn of(effects: &EffectsFit, center: Vector3<f64>) -> Option<Self> {
         if !effects.variances.shapes() {
             return None;

@@ -27,8 +27,8 @@ const FIRST_STEPS: usize = 3;
 /// Steps after effects were taken out, or corners chosen anew: both are near then.
 pub(super) const MAX_STEPS: usize = 5;
 
-/// State and variances have settled where no ln λ changes by more than this, of effects of which the
-/// data determine a coefficient or more, …
+/// State and variances have settled where no ln λ changes by more than this, of effects of which
+/// the data determine a coefficient or more, …
 const SETTLED_LOG_LAMBDA: f64 = 0.1;
 /// … and a step lowers the sum of squares by less than this, in units of the noise's variance: 0.17
 /// standard deviations from the mode. Neither was swept.
@@ -67,8 +67,8 @@ impl EffectSearch {
         shape[..heights].copy_from_slice(&near.state.shape[..heights]);
         let stretches = Effect::Stretch.range(scene.basis);
         shape[stretches].copy_from_slice(&near.state.shape[heights..]);
-        // Offsets of their own make the equations large: where smooth shapes and motion leave nothing
-        // that they would explain, they are left out.
+        // Offsets of their own make the equations large: where smooth shapes and motion leave
+        // nothing that they would explain, they are left out.
         let basis = Rc::clone(&near.basis);
         let narrow = near.narrowed(rough_scene, &basis);
         let noise_square = near.reduced(narrow, &near.variances)?.noise_square(&near.state);

@@ -1,7 +1,7 @@
-//! Products of the board's shape with everything else, by way of its points. A function on the board
-//! only moves points: its products follow from those of each point's movements along the board's
-//! axes, which are summed over the views first: a column for each of 52 polynomials in each view takes
-//! 1.6 times as long.
+//! Products of the board's shape with everything else, by way of its points. A function on the
+//! board only moves points: its products follow from those of each point's movements along the
+//! board's axes, which are summed over the views first: a column for each of 52 polynomials in each
+//! view takes 1.6 times as long.
 
 use nalgebra::{DMatrix, DVector, Matrix3};
 use pulp::{Arch, Simd, WithSimd};
@@ -93,7 +93,8 @@ impl PointProducts {
         self.add_squares(basis, lens, global);
     }
 
-    /// The couplings of the shape with pose and motion of each view after the other: shape × columns.
+    /// The couplings of the shape with pose and motion of each view after the other: shape ×
+    /// columns.
     pub(super) fn coupling(&self, basis: &BoardBasis) -> DMatrix<f64> {
         by_shape(basis, &self.local)
     }
@@ -103,7 +104,8 @@ impl PointProducts {
     }
 
     fn add_squares(&self, basis: &BoardBasis, first: usize, global: &mut DMatrix<f64>) {
-        // What a movement of the points along each axis has to do with every function of all points.
+        // What a movement of the points along each axis has to do with every function of all
+        // points.
         let (heights, smooth) = (basis.heights.len(), basis.smooth_len());
         let mut moved = [(); 3].map(|()| DMatrix::zeros(basis.points.len(), smooth));
         for (axis, moved) in moved.iter_mut().enumerate() {

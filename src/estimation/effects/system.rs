@@ -1,9 +1,9 @@
 //! The normal equations of lens, board shape, poses and motions at one state, with the poses
 //! eliminated: what every choice of variances starts from, without another pass over the corners.
 //!
-//! Global columns: the lens's free parameters, the board's shape ([`BoardBasis`]). A view's own: six
-//! of its pose, which are eliminated here, and six of its motion while it was read, which are kept
-//! because their variance is still to be estimated.
+//! Global columns: the lens's free parameters, the board's shape ([`BoardBasis`]). A view's own:
+//! six of its pose, which are eliminated here, and six of its motion while it was read, which are
+//! kept because their variance is still to be estimated.
 
 use nalgebra::{DMatrix, DMatrixView, DVector, Matrix6, MatrixXx6, Vector3, Vector6};
 

@@ -106,8 +106,8 @@ impl NormalEquations {
         self.global.fill_lower_triangle_with_upper_triangle();
     }
 
-    /// Adds what `sensor` saw at `frame_set`, but for its cost; `chained` where the sensor has a pose
-    /// of its own.
+    /// Adds what `sensor` saw at `frame_set`, but for its cost; `chained` where the sensor has a
+    /// pose of its own.
     #[expect(clippy::needless_range_loop, reason = "indices of matrices")]
     pub(crate) fn add(
         &mut self,

@@ -439,8 +439,8 @@ impl CornerProblem {
         settled || self.layout.sensors.len() == 1
     }
 
-    /// Each board where infrared saw it: by its motion and its pose jitter, or by infrared alone where
-    /// that was taken at another time.
+    /// Each board where infrared saw it: by its motion and its pose jitter, or by infrared alone
+    /// where that was taken at another time.
     fn at_depth(&self, whole: &CornerState) -> State {
         let mut later = self.later(whole);
         for (observation, difference) in self.observations.iter().zip(self.differences(whole)) {

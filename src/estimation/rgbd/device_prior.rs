@@ -8,11 +8,11 @@ use crate::geometry::pixel::ImageSize;
 /// The parameters of a depth lens that planes determine: focal lengths and principal point.
 pub const LENS_PARAMETERS: usize = 4;
 
-/// Standard deviation of ln(fx / fy): depth images have square pixels. Two published calibrations of
-/// one Kinect by planes have −0.012 and 0.004 (D. Herrera C., J. Kannala, J. Heikkilä, PAMI 2012). Of
-/// that Kinect's views any value from 0.01 to 0.03 moves no number of eighteen by a tenth of its
-/// deviation, and keeps the lens of seven from running away, which it does from 0.1 on; at 0.003 the
-/// lens of mirrored images passes for one.
+/// Standard deviation of ln(fx / fy): depth images have square pixels. Two published calibrations
+/// of one Kinect by planes have −0.012 and 0.004 (D. Herrera C., J. Kannala, J. Heikkilä, PAMI
+/// 2012). Of that Kinect's views any value from 0.01 to 0.03 moves no number of eighteen by a tenth
+/// of its deviation, and keeps the lens of seven from running away, which it does from 0.1 on; at
+/// 0.003 the lens of mirrored images passes for one.
 const ASPECT_STD: f64 = 0.01;
 
 /// Standard deviation of the principal point about the image's center, in widths of the image: more
@@ -20,8 +20,8 @@ const ASPECT_STD: f64 = 0.01;
 const CENTER_STD_WIDTHS: f64 = 0.05;
 
 /// A lens further from the prior than this, in its standard deviations, is no depth camera's: a
-/// principal point a quarter of the width off center, or pixels one by 1.05 wide. Of those views the
-/// lenses lie within 1, that of their mirrored images at 9: any limit between holds.
+/// principal point a quarter of the width off center, or pixels one by 1.05 wide. Of those views
+/// the lenses lie within 1, that of their mirrored images at 9: any limit between holds.
 const IMPLAUSIBLE: f64 = 5.0;
 
 /// A residual of the prior in standard deviations, with its derivatives by the focal lengths and

@@ -71,8 +71,8 @@ fn no_fit(problem: &RgbdProblem) -> EstimationError {
     problem.interrupt.check().err().unwrap_or(EstimationError::NoFit)
 }
 
-/// Depth of `estimate` anew, for a device whose color and infrared were solved with others': lenses,
-/// poses and boards are theirs, and planes determine the correction.
+/// Depth of `estimate` anew, for a device whose color and infrared were solved with others':
+/// lenses, poses and boards are theirs, and planes determine the correction.
 ///
 /// # Errors
 /// [`EstimationError::NoFit`] where no correction fits, [`EstimationError::Interrupted`] once

@@ -298,7 +298,8 @@ impl OffsetRow {
 
 /// The weighted least squares of `rows`.
 struct OffsetFit {
-    /// A rotation (radians) and a translation (meters) of the sensors' pose, and the time (seconds).
+    /// A rotation (radians) and a translation (meters) of the sensors' pose, and the time
+    /// (seconds).
     answer: SVector<f64, 7>,
     /// The inverse of the normal equations.
     inverse: SMatrix<f64, 7, 7>,

@@ -17,9 +17,9 @@ use crate::estimation::rgbd::planes::{Fit, Planes, scaled};
 const FORM_LIMIT: f64 = 3.0;
 
 impl Planes<'_> {
-    /// The covariance of lens and pose by planes: by the tiles' scatter, by that of the views, which
-    /// share what the model leaves of depth's error, and by that of the corners' answer, which moves
-    /// all planes of a view together and, through color's lens, those of all views.
+    /// The covariance of lens and pose by planes: by the tiles' scatter, by that of the views,
+    /// which share what the model leaves of depth's error, and by that of the corners' answer,
+    /// which moves all planes of a view together and, through color's lens, those of all views.
     pub(super) fn covariance(&self, corners: &CornerBlocks, fit: &Fit) -> Option<DMatrix<f64>> {
         let unscaled = fit.equations.global_covariance()?;
         let views: Option<Vec<ReducedView>> =

@@ -153,7 +153,8 @@ impl PlacedDepth {
         (inverse.is_finite() && inverse > 0.0).then_some(inverse)
     }
 
-    /// A tile against the board's plane, in standard deviations; `None` where the lens sees nothing.
+    /// A tile against the board's plane, in standard deviations; `None` where the lens sees
+    /// nothing.
     pub fn residual(&self, depth_from_board: &Pose, tile: &DepthTile) -> Option<f64> {
         let plane = self.plane_inverse_depth(depth_from_board, tile.pixel)?;
         let at = self.correction.at(tile.pixel);

@@ -49,8 +49,9 @@ pub struct RgbdProblem {
     pub color: Lens,
     /// What is estimated of it: `skew`, `square_pixels` and `given` count.
     pub color_options: CameraOptions,
-    /// Covariance of its parameters by a solve of color alone that measured the board's shape, which
-    /// it counts; `None` for a board as stated: by the corners' scatter and by how views differ.
+    /// Covariance of its parameters by a solve of color alone that measured the board's shape,
+    /// which it counts; `None` for a board as stated: by the corners' scatter and by how views
+    /// differ.
     pub color_covariance: Option<DMatrix<f64>>,
     /// Standard deviation of a color corner relative to its own `std_px`.
     pub color_noise: f64,
@@ -89,7 +90,8 @@ pub struct RgbdEstimate {
     pub color_from_depth: Pose,
     /// Covariance of its rotation about color's axes and of its translation, in rad² and m².
     pub color_from_depth_covariance: Matrix6<f64>,
-    /// By how much infrared and depth are taken later than color, where the board's motion determines it.
+    /// By how much infrared and depth are taken later than color, where the board's motion
+    /// determines it.
     pub time_offset: Option<TimeOffset>,
     /// Views whose infrared and depth images are of another moment than their color image.
     pub not_together: Vec<usize>,

@@ -101,8 +101,8 @@ pub struct BundleStop {
     pub least_decrease: f64,
 }
 
-/// Marquardt's λ at first, a part of each diagonal element: nearly a step of Gauss and Newton, since
-/// resection and triangulation start near the minimum. Not swept.
+/// Marquardt's λ at first, a part of each diagonal element: nearly a step of Gauss and Newton,
+/// since resection and triangulation start near the minimum. Not swept.
 const START_DAMPING: f64 = 1e-4;
 /// What λ is multiplied by after a step that raises the cost, and divided by after one that lowers
 /// it (D. Marquardt, 1963).

@@ -132,9 +132,10 @@ struct ClusterSpread {
     wider: f64,
 }
 
-/// The clustered covariance, in the frame of whitened parameters, where observations say `observed`.
-/// Few clusters say little of single directions: the matrix is drawn towards its mean by the part
-/// that the number of parameters has of parameters and clusters. `None` of fewer than two clusters.
+/// The clustered covariance, in the frame of whitened parameters, where observations say
+/// `observed`. Few clusters say little of single directions: the matrix is drawn towards its mean
+/// by the part that the number of parameters has of parameters and clusters. `None` of fewer than
+/// two clusters.
 fn clustered(clusters: &[Cluster], observed: &DMatrix<f64>) -> Option<ClusterSpread> {
     let lens = clusters[0].pull.len();
     let used = clusters.iter().filter(|cluster| cluster.expected.trace() > 0.0).count() as f64;

@@ -22,12 +22,12 @@ pub struct FocalByImage {
     pub covariance: DMatrix<f64>,
 }
 
-/// The standard deviation of each logarithm beforehand: a factor of e, which is nothing. It keeps the
-/// problem solvable where the focal length of all is estimated too.
+/// The standard deviation of each logarithm beforehand: a factor of e, which is nothing. It keeps
+/// the problem solvable where the focal length of all is estimated too.
 const OPEN: f64 = 1.0;
 
-/// A guard: fits end before where a step is below [`SETTLED`]. Images enlarged by up to 1.3 have the
-/// focal length that they show after as many.
+/// A guard: fits end before where a step is below [`SETTLED`]. Images enlarged by up to 1.3 have
+/// the focal length that they show after as many.
 const FITS: usize = 4;
 
 /// A step of all logarithms below this is the last: a fifth of the least difference that is named.
@@ -36,8 +36,8 @@ const SETTLED: f64 = 1e-3;
 const FITTING: BundleStop = BundleStop { max_steps: 30, least_decrease: 1e-3 };
 
 /// The focal lengths that the images show where they may be far from one, beginning near `state`;
-/// `bundle` has all observations, also those that one focal length makes wrong. Each image is scaled
-/// about the principal point to the mean focal length, until that changes nothing.
+/// `bundle` has all observations, also those that one focal length makes wrong. Each image is
+/// scaled about the principal point to the mean focal length, until that changes nothing.
 pub fn separate_focals(bundle: &Bundle, state: &SceneState) -> Option<FocalByImage> {
     let mut scaled = bundle.clone();
     let mut state = state.clone();
@@ -83,8 +83,8 @@ fn scale_images(
     scaled.zip(seen).for_each(|(scaled, seen)| scaled.pixel = scaled_one(seen));
 }
 
-/// The focal lengths by one step from the minimum `state` of `bundle`, whose observations have their
-/// true standard deviations; `None` where they are not determined.
+/// The focal lengths by one step from the minimum `state` of `bundle`, whose observations have
+/// their true standard deviations; `None` where they are not determined.
 pub fn focal_by_image(bundle: &Bundle, state: &SceneState) -> Option<FocalByImage> {
     let mut free = bundle.free.clone();
     free.extend([FX, FY].into_iter().filter(|k| !bundle.free.contains(k)));

@@ -9,8 +9,8 @@ use crate::geometry::pixel::ImageSize;
 const MOUNTED_STD: f64 = 0.02;
 
 /// The same where images may be cropped, or rectified for another camera beside: what remains of a
-/// half to all of an image, from anywhere in it, has its middle within 0.5 of its width from that of
-/// the whole, and within 0.2 in the root mean square.
+/// half to all of an image, from anywhere in it, has its middle within 0.5 of its width from that
+/// of the whole, and within 0.2 in the root mean square.
 const CROPPED_STD: f64 = 0.2;
 
 /// The standard deviation of fy / fx from 1: pixels are square but for how images were resampled.

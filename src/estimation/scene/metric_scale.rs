@@ -2,10 +2,10 @@
 //!
 //! Each reading compares a measured depth z with that of a scene point. A depth camera errs in 1/z,
 //! by an offset b above all, so that the logarithm of the ratio is s − b z: what grows with z is
-//! the camera's, and the rest the scale. Readings of one image share the error of its pose, those of
-//! one part of the scene the errors of its points, those of one region of the depth image the depth
-//! camera's: the standard deviation follows from how much these differ, not from the number of
-//! readings.
+//! the camera's, and the rest the scale. Readings of one image share the error of its pose, those
+//! of one part of the scene the errors of its points, those of one region of the depth image the
+//! depth camera's: the standard deviation follows from how much these differ, not from the number
+//! of readings.
 
 use std::collections::BTreeMap;
 

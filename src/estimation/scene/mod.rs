@@ -8,8 +8,8 @@
 //! ```
 //!
 //! Lengths have no unit: the scene's frame is that of the first used camera, and the greatest
-//! distance between two cameras is 1, unless depth was measured too ([`metric_scale`]). What images hardly determine is held by stated priors
-//! ([`lens_prior`]).
+//! distance between two cameras is 1, unless depth was measured too ([`metric_scale`]). What images
+//! hardly determine is held by stated priors ([`lens_prior`]).
 
 pub mod bundle;
 #[cfg(test)]

@@ -109,8 +109,8 @@ pub fn two_view_geometry(pairs: &[PointPair], size: ImageSize) -> Option<TwoView
     })
 }
 
-/// The natural logarithm of how often `on_epipolar_lines` of `beside` matches, each by `chance`, lie along
-/// the epipolar lines of an epipole that two of them give.
+/// The natural logarithm of how often `on_epipolar_lines` of `beside` matches, each by `chance`,
+/// lie along the epipolar lines of an epipole that two of them give.
 fn log_false_alarms(on_epipolar_lines: usize, beside: usize, chance: f64) -> f64 {
     let log_factorial = |n: usize| (1..=n).map(|k| (k as f64).ln()).sum::<f64>();
     let log_choose = |n: usize, k: usize| {

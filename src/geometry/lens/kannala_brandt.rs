@@ -114,8 +114,8 @@ impl DistortionModel<4> for KannalaBrandt {
         let distorted = self.distorted_angle(angle);
         let direction = Vector2::new(x, y) / radius;
         let distance2 = radius * radius + z * z;
-        // dθ/d(x, y) = z/(distance²) · direction, dθ/dz = −radius/distance²; the direction rotates by
-        // 1/radius.
+        // dθ/d(x, y) = z/(distance²) · direction, dθ/dz = −radius/distance²; the direction rotates
+        // by 1/radius.
         let radial = self.slope(angle) / distance2;
         let across = distorted / radius;
         let (c, s) = (direction.x, direction.y);

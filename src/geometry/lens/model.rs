@@ -77,9 +77,9 @@ pub struct ModelFacts {
     /// for one that is fitted only when it is asked for.
     pub auto_order: Option<u8>,
     /// The coefficient that scales the image's center as the focal lengths do, where it has one. In
-    /// the double sphere model ξ, α and the focal lengths f are one too many at ξ = 0 to first order
-    /// (δξ = k, δα = k (2α − 1), δf = k f change no image); elsewhere only a wide field of view
-    /// separates them.
+    /// the double sphere model ξ, α and the focal lengths f are one too many at ξ = 0 to first
+    /// order (δξ = k, δα = k (2α − 1), δf = k f change no image); elsewhere only a wide field of
+    /// view separates them.
     pub focal_coefficient: Option<&'static str>,
     /// In `camera_info` messages.
     pub camera_info: Option<CameraInfoModel>,

@@ -213,7 +213,8 @@ impl RotatedCamera<'_> {
     }
 }
 
-/// Parts of a way on which the end of what a lens model reaches is searched, from the whole of it on.
+/// Parts of a way on which the end of what a lens model reaches is searched, from the whole of it
+/// on.
 fn parts() -> impl Iterator<Item = f64> {
     const STEPS: u32 = 20;
     (1..=STEPS).rev().map(|step| f64::from(step) / f64::from(STEPS))

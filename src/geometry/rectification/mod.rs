@@ -182,8 +182,8 @@ impl RectifiedCamera {
     /// The camera matrix is that of OpenCV's `getOptimalNewCameraMatrix`; of a lens that does not
     /// distort an image plane that of `fisheye::estimateNewCameraMatrixForUndistortRectify`, whose
     /// `balance` is `alpha`, and which frames by the middles of the image's sides alone. A lens
-    /// without distortion keeps its own. What is further than [`WIDEST`](crate::geometry::flat_image::WIDEST) off the axis counts as if
-    /// it were there.
+    /// without distortion keeps its own. What is further than
+    /// [`WIDEST`](crate::geometry::flat_image::WIDEST) off the axis counts as if it were there.
     pub fn framed(lens: &Lens, image_size: ImageSize, alpha: f64) -> Self {
         if lens.model() == LensModel::Pinhole {
             return Self::alone(&lens.matrix);

@@ -19,8 +19,8 @@ const LEAST_DEPTH: f32 = 0.3;
 /// lattices even of 16 bits.
 pub(super) const LEAST_MARKERS: usize = 3;
 
-/// The least share of the markers that are the board's: a few cells without a marker have the pattern
-/// of one by chance.
+/// The least share of the markers that are the board's: a few cells without a marker have the
+/// pattern of one by chance.
 const LEAST_OWN: f32 = 0.85;
 
 /// Where in its cell a marker's payload may start, in parts of the cell's side, with how many cells
@@ -46,7 +46,8 @@ pub(super) struct SeenMarkers {
 }
 
 impl SeenMarkers {
-    /// Whether `board` has nearly all of these markers: a smaller board fits a part of a larger one.
+    /// Whether `board` has nearly all of these markers: a smaller board fits a part of a larger
+    /// one.
     pub(super) fn mostly_of(&self, board: &Target) -> bool {
         let (first, count) = match board {
             Target::Chessboard(_) => (0, 0),

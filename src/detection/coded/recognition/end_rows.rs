@@ -17,7 +17,8 @@ use crate::imaging::gray::GrayView;
 const NEAR_END: usize = 12;
 /// Where print and paper are sampled at most, in sides of a cell from the end: as near as blur of a
 /// tenth of a cell allows, as the edge of an occluder, which lies anywhere, is another. Swept with
-/// 400 rendered boards from 0.1 to 0.2: the same wrong sizes, five needless hints fewer to two more.
+/// 400 rendered boards from 0.1 to 0.2: the same wrong sizes, five needless hints fewer to two
+/// more.
 const BESIDE_END: f32 = 0.15;
 /// Places along a cell's side whose mean counts, in sides from its middle: where a marker of any
 /// size has its border.

@@ -1,5 +1,5 @@
-//! The proportions of a board that was found: how large its markers are, or how wide the gaps between
-//! its tags.
+//! The proportions of a board that was found: how large its markers are, or how wide the gaps
+//! between its tags.
 
 use crate::detection::coded::answer::TargetDetection;
 use crate::detection::coded::chart::{Chart, ChartPair};
@@ -76,7 +76,8 @@ impl TargetDetector {
         }
     }
 
-    /// The side of the markers over that of the squares: where a square's margin ends at its marker.
+    /// The side of the markers over that of the squares: where a square's margin ends at its
+    /// marker.
     fn marker_ratio(&self, image: GrayView<'_>, detection: &TargetDetection) -> Option<f64> {
         let mut profile = vec![(0.0_f32, 0.0_f32); MARGINS.end];
         let mut pairs = Vec::new();

@@ -1,8 +1,8 @@
 //! Which board with markers an image shows, if nothing is known of it.
 //!
 //! A lattice is grown as of any such board; its cells are compared with every dictionary, and how
-//! the markers' numbers rise along the lattice gives its size. What is guessed so is searched for as
-//! if it had been asked for, so a board is named only if all of detection agrees.
+//! the markers' numbers rise along the lattice gives its size. What is guessed so is searched for
+//! as if it had been asked for, so a board is named only if all of detection agrees.
 
 mod cells;
 mod codes;
@@ -20,8 +20,8 @@ use crate::geometry::dictionary::Dictionary;
 use crate::geometry::target::{AprilGrid, CharucoBoard, Target};
 use crate::imaging::gray::GrayView;
 
-/// Gaps of grids of tags, in parts of a tag's side, with which a lattice is grown: what a grid truly
-/// has may differ by a tenth.
+/// Gaps of grids of tags, in parts of a tag's side, with which a lattice is grown: what a grid
+/// truly has may differ by a tenth.
 const SPACINGS: [f64; 4] = [0.3, 0.25, 0.2, 0.36];
 /// Sides of markers, in parts of a square's, at which payloads are sampled.
 const RATIOS: [f32; 6] = [0.5, 0.6, 0.67, 0.75, 0.82, 0.9];

@@ -93,8 +93,8 @@ pub(super) fn april_grids(seen: &SeenMarkers, grid: &Grid, spacing: f64) -> Vec<
     grids
 }
 
-/// By how much the numbers of markers differ from one row to the one `step.0` cells on, if they rise
-/// by one along a row; of rows numbered upward `step.1` is −1.
+/// By how much the numbers of markers differ from one row to the one `step.0` cells on, if they
+/// rise by one along a row; of rows numbered upward `step.1` is −1.
 fn row_length(cells: &[MarkedCell], step: i32, upward: i64) -> Option<u32> {
     let mut lengths: Vec<i64> = Vec::new();
     for cell in cells {
