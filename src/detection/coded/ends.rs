@@ -35,20 +35,25 @@ enum Beyond {
     Unknown,
 }
 
-/// Of two ways in which a board may lie in `grid`, the one that the sides at which they differ
+/// A lattice in an image, and the sheets that it may be of.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct LatticeInImage<'a> {
+    pub image: GrayView<'a>,
+    pub grid: &'a Grid,
+    pub sheets: &'a Sheets,
+    pub limits: &'a LabelThresholds,
+}
+
+/// Of two ways in which a board may lie in the lattice, the one that the sides at which they differ
 /// speak for: an end of it is seen, or the other would end where squares go on. `None` if they
 /// speak for neither or for both.
 pub(super) fn by_sides(
-    image: GrayView<'_>,
-    (sheets, limits): (&Sheets, &LabelThresholds),
-    grid: &Grid,
+    lattice: LatticeInImage<'_>,
     labels: [BoardLabel; 2],
     pairs: &mut Vec<ChartPair>,
 ) -> Option<usize> {
-    let [first, second] = labels.map(|label| {
-        let lines = sheets.ways[label.way].lines;
-        sides(image, (sheets, lines, limits), grid, label.placement, pairs)
-    });
+    let [first, second] = labels
+        .map(|label| sides(lattice, lattice.sheets.ways[label.way].lines, label.placement, pairs));
     let shared = |side: &SheetSide, others: &[SheetSide; 4]| {
         others.iter().any(|other| (other.outward, other.line) == (side.outward, side.line))
     };
@@ -64,35 +69,59 @@ pub(super) fn by_sides(
     }
 }
 
-/// The four sides of the board of `lines` corners, placed so in `grid`.
+/// An outer line of a board's corners, in the board's columns and rows.
+#[derive(Debug, Clone, Copy)]
+struct OuterLine {
+    /// A column of corners; else a row.
+    upright: bool,
+    /// Which.
+    line: i32,
+    /// 1 or −1: the way outward.
+    step: i32,
+    /// How many corners it has.
+    length: i32,
+}
+
+impl OuterLine {
+    /// The column and row of its corner number `k`.
+    fn corner(self, k: i32) -> (i32, i32) {
+        if self.upright { (self.line, k) } else { (k, self.line) }
+    }
+
+    /// The way outward in the grid in which the board is placed so.
+    fn outward(self, placement: BoardPlacement) -> (i32, i32) {
+        let origin = placement.in_grid(0, 0);
+        let (col, row) = if self.upright { (self.step, 0) } else { (0, self.step) };
+        let next = placement.in_grid(col, row);
+        (next.0 - origin.0, next.1 - origin.1)
+    }
+}
+
+/// The four sides of the board of `lines` corners, placed so in the lattice.
 fn sides(
-    image: GrayView<'_>,
-    (sheets, lines, limits): (&Sheets, [i32; 2], &LabelThresholds),
-    grid: &Grid,
+    lattice: LatticeInImage<'_>,
+    [across, down]: [i32; 2],
     placement: BoardPlacement,
     pairs: &mut Vec<ChartPair>,
 ) -> [SheetSide; 4] {
-    let [across, down] = lines;
-    let sides = [
-        (0, -1, down, true),
-        (across - 1, 1, down, true),
-        (0, -1, across, false),
-        (down - 1, 1, across, false),
+    let lines = [
+        OuterLine { upright: true, line: 0, step: -1, length: down },
+        OuterLine { upright: true, line: across - 1, step: 1, length: down },
+        OuterLine { upright: false, line: 0, step: -1, length: across },
+        OuterLine { upright: false, line: down - 1, step: 1, length: across },
     ];
-    sides.map(|(line, step, length, upright)| {
-        let corner = |k: i32| if upright { (line, k) } else { (k, line) };
-        let squares = (0..length - 1).filter_map(|k| {
-            let square = [corner(k), corner(k + 1)].map(|(col, row)| placement.in_grid(col, row));
-            let side = (square, step, upright);
-            square_ends(image, (sheets, grid, limits), side, placement, pairs)
-        });
+    lines.map(|outer| {
+        let outward = outer.outward(placement);
+        let in_grid = |k: i32| {
+            let (col, row) = outer.corner(k);
+            placement.in_grid(col, row)
+        };
+        let squares = (0..outer.length - 1)
+            .filter_map(|k| square_ends(lattice, [in_grid(k), in_grid(k + 1)], outward, pairs));
         let squares: Vec<OuterSquare> = squares.collect();
-        let (origin, corner) = (placement.in_grid(0, 0), corner(0));
-        let at = placement.in_grid(corner.0, corner.1);
-        let next = if upright { placement.in_grid(step, 0) } else { placement.in_grid(0, step) };
-        let outward = (next.0 - origin.0, next.1 - origin.1);
+        let at = in_grid(0);
         let line = at.0 * outward.0 + at.1 * outward.1;
-        SheetSide { outward, line, beyond: beyond(&squares, limits) }
+        SheetSide { outward, line, beyond: beyond(&squares, lattice.limits) }
     })
 }
 
@@ -120,21 +149,16 @@ struct OuterSquare {
     alternates: bool,
 }
 
-/// The outer square beside two corners; `None` where it is not seen.
+/// The outer square beside two corners, all in the grid; `None` where it is not seen.
 fn square_ends(
-    image: GrayView<'_>,
-    (sheets, grid, limits): (&Sheets, &Grid, &LabelThresholds),
-    (square, outward, upright): ([(i32, i32); 2], i32, bool),
-    placement: BoardPlacement,
+    LatticeInImage { image, grid, sheets, limits }: LatticeInImage<'_>,
+    [a, b]: [(i32, i32); 2],
+    outward: (i32, i32),
     pairs: &mut Vec<ChartPair>,
 ) -> Option<OuterSquare> {
-    let [a, b] = square;
     let (near, far) = (grid.get(a.0, a.1)?, grid.get(b.0, b.1)?);
     let chart = Chart::near(grid, sheets, a, None, pairs)?;
-    // The way outward and from the first corner to the second, in the grid.
-    let origin = placement.in_grid(0, 0);
-    let step = if upright { placement.in_grid(outward, 0) } else { placement.in_grid(0, outward) };
-    let out = ((step.0 - origin.0) as f32, (step.1 - origin.1) as f32);
+    let out = (outward.0 as f32, outward.1 as f32);
     let along = ((b.0 - a.0) as f32, (b.1 - a.1) as f32);
     let start = (sheets.line(a.0), sheets.line(a.1));
     let at = |u: f32, v: f32| {

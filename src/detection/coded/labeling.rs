@@ -4,7 +4,7 @@
 use std::ops::Range;
 
 use crate::detection::coded::detector::TargetDetector;
-use crate::detection::coded::ends::by_sides;
+use crate::detection::coded::ends::{LatticeInImage, by_sides};
 use crate::detection::coded::labels::{BestLabel, BoardLabel, BoardLabels, contradicted_around};
 use crate::imaging::gray::GrayView;
 
@@ -81,10 +81,14 @@ impl TargetDetector {
     /// Of two places alike the one whose ends are seen.
     fn by_ends(&mut self, view: GrayView<'_>, labels: BoardLabels) -> BoardLabels {
         let BoardLabels::Two(first, second) = labels else { return labels };
-        let sheet = (&self.sheets, &self.thresholds.labels);
+        let lattice = LatticeInImage {
+            image: view,
+            grid: &self.grid,
+            sheets: &self.sheets,
+            limits: &self.thresholds.labels,
+        };
         let both = [first, second];
-        by_sides(view, sheet, &self.grid, both, &mut self.pairs)
-            .map_or(labels, |seen| BoardLabels::One(both[seen]))
+        by_sides(lattice, both, &mut self.pairs).map_or(labels, |seen| BoardLabels::One(both[seen]))
     }
 }
 
