@@ -125,9 +125,9 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         spinner.inc(1);
         let outcome = image.and_then(|(image, color)| {
             fits(&image, depth.camera.image_size)?;
-            let image_of_color = (&image, color.image.as_ref());
-            let mut one =
-                correct(args, (&registration, depth.invalid), (&path, &name), image_of_color)?;
+            let seen =
+                NamedDepth { path: &path, name: &name, image: &image, color: color.image.as_ref() };
+            let mut one = correct(args, &registration, depth.invalid, &seen)?;
             if let Some((errors, frame)) = plane_errors.as_mut().zip(color.frame.as_ref()) {
                 one.off_board = off_board(args, errors, &name, frame, &image)?;
             }
@@ -171,12 +171,24 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     report(args, written, &failures)
 }
 
+/// A depth image to correct, with its color image where that is needed.
+struct NamedDepth<'a> {
+    /// Where it is from, in messages.
+    path: &'a str,
+    /// What its files are called.
+    name: &'a str,
+    image: &'a DepthImage,
+    color: Option<&'a RgbImage>,
+}
+
+/// `invalid`: the reading that means none, if there is one.
 fn correct(
     args: &Args,
-    (registration, invalid): (&DepthRegistration, Option<u16>),
-    (path, name): (&str, &str),
-    (image, color): (&DepthImage, Option<&RgbImage>),
+    registration: &DepthRegistration,
+    invalid: Option<u16>,
+    seen: &NamedDepth<'_>,
 ) -> Result<CorrectedImage, String> {
+    let NamedDepth { path, name, image, color } = *seen;
     let (mut corrected, elapsed_ms) = timed(args, || match args.register.as_deref() {
         Some("color") => registration.register(image, invalid, args.unit),
         _ => registration.correct(image, invalid, args.unit),
