@@ -146,8 +146,8 @@ impl<'a> Member<'a> {
         let depth = DepthCalibration::of(&estimate, own.depth.invalid);
         let clean = Verdict { grade: Grade::Good, reasons: Vec::new() };
         let mut verdict = judged_with_depth(clean, own, solved, &estimate, &depth);
-        for apart in of_own_halves {
-            verdict.lower(apart.grade, apart.reason);
+        for finding in of_own_halves {
+            verdict.lower(finding.grade, finding.reason);
         }
         whole.sensors.push(CalibratedSensor::depth(self.camera.name.as_deref(), depth));
         whole.extrinsics.push(known);

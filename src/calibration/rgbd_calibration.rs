@@ -19,7 +19,7 @@ use crate::estimation::problem::{BoardView, Correspondence};
 use crate::estimation::rgbd::RgbdEstimate;
 use crate::estimation::rgbd::halves::{LensDifference, RgbdDifference};
 use crate::estimation::rig::SensorHalves;
-use crate::estimation::split_halves::PoseDifference;
+use crate::estimation::split_halves::PoseBetweenHalves;
 use crate::geometry::depth_camera::DepthReading;
 use crate::geometry::lens::Lens;
 use crate::geometry::median::median;
@@ -68,8 +68,8 @@ pub fn with_depth(
         calibration.verdict = both(calibration.verdict, of_infrared);
     }
     calibration.verdict = judged_with_depth(calibration.verdict, input, solved, of_depth, &depth);
-    for apart in halves_of_depth(solved) {
-        calibration.verdict.lower(apart.grade, apart.reason);
+    for finding in halves_of_depth(solved) {
+        calibration.verdict.lower(finding.grade, finding.reason);
     }
     calibration.add_sensor(CalibratedSensor::depth(None, depth));
     calibration
@@ -120,10 +120,10 @@ pub(super) fn halves_of_depth(solved: &SolvedRgbd) -> Vec<Finding> {
         return Vec::new();
     };
     let advice = "add views, tilted, near and far, and hold the board still for each";
-    let place = color_from_depth.and_then(|PoseDifference { ratio, rotation_rad, translation_m }| {
+    let place = color_from_depth.and_then(|PoseBetweenHalves { ratio, rotation_rad, translation_m }| {
         let (rotation_deg, translation_mm) = (rotation_rad.to_degrees(), 1e3 * translation_m);
         let reason = format!(
-            "two halves of the views put depth {ratio:.1} times as far apart as their uncertainties predict ({rotation_deg:.2}°, {translation_mm:.1} mm): {advice}"
+            "two halves of the views differ in where depth is {ratio:.1} times as much as their uncertainties predict ({rotation_deg:.2}°, {translation_mm:.1} mm): {advice}"
         );
         Finding::worse_than_good(Grade::of_figure(ratio, SPLIT_HALF), reason)
     });

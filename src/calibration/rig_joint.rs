@@ -12,7 +12,7 @@ use crate::estimation::error::EstimationError;
 use crate::estimation::measured_board::MeasuredBoard;
 use crate::estimation::problem::LensChoice;
 use crate::estimation::rig::{RigProblem, RigSensor, SensorHalves, SensorPose, calibrate_rig};
-use crate::estimation::split_halves::PoseDifference;
+use crate::estimation::split_halves::PoseBetweenHalves;
 use crate::geometry::pose::Pose;
 
 /// Cameras that were solved together.
@@ -136,18 +136,18 @@ impl Joint {
                 Finding { grade: Grade::Usable, reason }
             })
         });
-        let apart = self.halves.iter().enumerate().filter_map(|(member, halves)| {
-            let PoseDifference { ratio, rotation_rad, translation_m } = halves.pose?;
+        let differing = self.halves.iter().enumerate().filter_map(|(member, halves)| {
+            let PoseBetweenHalves { ratio, rotation_rad, translation_m } = halves.pose?;
             let (rotation_deg, translation_mm) = (rotation_rad.to_degrees(), 1e3 * translation_m);
             Finding::worse_than_good(
                 Grade::of_figure(ratio, SPLIT_HALF),
                 format!(
-                    "two halves of the frame sets put camera `{}` {ratio:.1} times as far apart as their uncertainties predict ({rotation_deg:.3}°, {translation_mm:.2} mm): check that all cameras are fixed to each other and take their images at the same time",
+                    "two halves of the frame sets differ in where camera `{}` is {ratio:.1} times as much as their uncertainties predict ({rotation_deg:.3}°, {translation_mm:.2} mm): check that all cameras are fixed to each other and take their images at the same time",
                     name(member)
                 ),
             )
         });
-        misfitting.chain(open).chain(apart).collect()
+        misfitting.chain(open).chain(differing).collect()
     }
 }
 

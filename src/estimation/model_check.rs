@@ -6,7 +6,7 @@ use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::lens_misfit::LensMisfit;
 use crate::estimation::misfit::{Misfit, board_bow_m};
 use crate::estimation::problem::{BoardShape, CameraOptions};
-use crate::estimation::split_halves::{MIN_FRAME_SETS, SplitHalves, StatedLens};
+use crate::estimation::split_halves::{LensWithCovariance, MIN_FRAME_SETS, SplitHalves};
 
 /// What two halves of the views say of each other.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -94,7 +94,8 @@ impl ModelCheck {
 
     fn halves(fit: &CameraFit, estimate: &CameraEstimate) -> Option<Self> {
         let halves = SplitHalves::of(fit)?;
-        let stated = StatedLens { lens: &estimate.lens, covariance: &estimate.lens_covariance };
+        let stated =
+            LensWithCovariance { lens: &estimate.lens, covariance: &estimate.lens_covariance };
         let split_half_ratio = halves.lens_ratio(0, stated, estimate.image_size)?;
         Some(Self {
             split_half_ratio: Some(split_half_ratio).filter(|ratio| ratio.is_finite()),

@@ -14,7 +14,7 @@ use crate::estimation::lens_choice::choose_lens;
 use crate::estimation::problem::{BoardView, CameraOptions, CameraProblem, LensChoice, check};
 use crate::estimation::robust_fit::robust_fit;
 use crate::estimation::shape_widening::widening;
-use crate::estimation::split_halves::{PoseDifference, SplitHalves, StatedLens};
+use crate::estimation::split_halves::{LensWithCovariance, PoseBetweenHalves, SplitHalves};
 use crate::estimation::start::{Prepared, mean_point};
 use crate::estimation::view_fault::ViewFault;
 use crate::geometry::median::median_pose;
@@ -75,8 +75,8 @@ pub struct SensorHalves {
     pub lens_ratio: Option<f64>,
     /// By how much the focal length differs, relative to itself.
     pub focal_change: f64,
-    /// How far apart they put it; `None` for the first sensor, which is the rig's own frame.
-    pub pose: Option<PoseDifference>,
+    /// By how much they differ in where it is; `None` for the first sensor, which is the rig's own frame.
+    pub pose: Option<PoseBetweenHalves>,
     /// Root mean square error of each half's views under lenses and sensors of the other half, in
     /// pixels.
     pub held_out_rms_px: Option<f64>,
@@ -155,7 +155,7 @@ fn compare_halves(
 ) -> Vec<SensorHalves> {
     let Some(halves) = SplitHalves::of(fit).filter(|_| !fit.is_exact()) else { return Vec::new() };
     let of_sensor = |(sensor, (camera, pose)): (usize, (&CameraEstimate, &SensorPose))| {
-        let stated = StatedLens { lens: &camera.lens, covariance: &camera.lens_covariance };
+        let stated = LensWithCovariance { lens: &camera.lens, covariance: &camera.lens_covariance };
         let covariance = DMatrix::from_column_slice(6, 6, pose.covariance.as_slice());
         SensorHalves {
             lens_ratio: halves.lens_ratio(sensor, stated, camera.image_size),

@@ -1,4 +1,4 @@
-//! Two disjoint halves of the frame sets, fitted separately: how far apart lenses and poses are in
+//! Two disjoint halves of the frame sets, fitted separately: by how much lenses and poses differ in
 //! units of what their uncertainties predict, and how well each half predicts the other. A camera
 //! by itself is a rig of one sensor, whose frame sets are its views.
 
@@ -31,14 +31,14 @@ const NEARBY: f64 = 0.2;
 
 /// A lens as it is stated, with the covariance of all its parameters.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct StatedLens<'a> {
+pub(crate) struct LensWithCovariance<'a> {
     pub(crate) lens: &'a Lens,
     pub(crate) covariance: &'a DMatrix<f64>,
 }
 
-/// How far apart two halves put a sensor.
+/// By how much two halves differ in where a sensor is.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PoseDifference {
+pub struct PoseBetweenHalves {
     /// The root of the mean square of its six numbers in units of their predicted deviations, about
     /// 1 when the model is right.
     pub ratio: f64,
@@ -48,10 +48,11 @@ pub struct PoseDifference {
     pub translation_m: f64,
 }
 
-impl PoseDifference {
-    /// Of `first` and `second`, whose difference has this `covariance` (rotation in radians about
-    /// the target's axes, then translation in meters). `None` where that is singular.
-    pub fn between(first: &Pose, second: &Pose, covariance: &DMatrix<f64>) -> Option<Self> {
+impl PoseBetweenHalves {
+    /// Of the two poses that the halves have, whose difference has this `covariance` (rotation in
+    /// radians about the target's axes, then translation in meters). `None` where that is singular.
+    pub fn between(a_from_b: [&Pose; 2], covariance: &DMatrix<f64>) -> Option<Self> {
+        let [first, second] = a_from_b;
         let rotation = (second.rotation() * first.rotation().inverse()).scaled_axis();
         let translation = second.translation() - first.translation();
         let step = pose_step(&rotation, &translation);
@@ -72,11 +73,11 @@ impl PoseDifference {
 /// near both, and the covariance of their difference. `None` where nothing is seen of the image.
 pub(crate) fn projection_ratio(
     [first, second]: [&Lens; 2],
-    predicted: StatedLens<'_>,
+    predicted: LensWithCovariance<'_>,
     image_size: ImageSize,
 ) -> Option<f64> {
     let grid = PixelGrid::over(image_size, COLUMNS);
-    let StatedLens { lens, covariance } = predicted;
+    let LensWithCovariance { lens, covariance } = predicted;
     let predicted = projection_uncertainty(lens, covariance, grid, Distance::Infinity)?;
     let seen = projection_difference(first, second, grid, &predicted.weights);
     // Each pixel against its own prediction: a corner that no view reached must not drown the rest.
@@ -123,7 +124,7 @@ impl<'a> SplitHalves<'a> {
     pub(crate) fn lens_ratio(
         &self,
         sensor: usize,
-        stated: StatedLens<'_>,
+        stated: LensWithCovariance<'_>,
         image_size: ImageSize,
     ) -> Option<f64> {
         let covariance =
@@ -150,18 +151,19 @@ impl<'a> SplitHalves<'a> {
         (a - b).abs() / lens.matrix.fx
     }
 
-    /// How far apart the halves put `sensor` on the rig, whose pose has the covariance `stated`.
+    /// By how much the halves differ in where `sensor` is on the rig; its pose has the covariance
+    /// `stated`.
     /// `None` for the first sensor, which is the rig's own frame.
     pub(crate) fn pose_difference(
         &self,
         sensor: usize,
         stated: &DMatrix<f64>,
-    ) -> Option<PoseDifference> {
+    ) -> Option<PoseBetweenHalves> {
         let at = self.fit.layout.sensors[sensor].pose_at?;
         let covariance = self.half_covariance(0, at..at + 6, stated)?
             + self.half_covariance(1, at..at + 6, stated)?;
-        let [a, b] = [0, 1].map(|half| &self.halves[half].state.sensor_from_rig[sensor]);
-        PoseDifference::between(a, b, &covariance)
+        let sensor_from_rig = [0, 1].map(|half| &self.halves[half].state.sensor_from_rig[sensor]);
+        PoseBetweenHalves::between(sensor_from_rig, &covariance)
     }
 
     /// Root mean square error of the views of `sensor`, in pixels, each under what the other half
@@ -187,7 +189,7 @@ impl<'a> SplitHalves<'a> {
         &self,
         half: usize,
         sensor: usize,
-        stated: StatedLens<'_>,
+        stated: LensWithCovariance<'_>,
     ) -> Option<DMatrix<f64>> {
         let layout = &self.fit.layout.sensors[sensor];
         let (free, at) = (&layout.lens.free, layout.lens_at);
@@ -269,11 +271,11 @@ mod tests {
         );
         let std = [2e-4, 1e-4, 2e-4, 0.3, 1.0, 0.4];
         let covariance = DMatrix::from_fn(6, 6, |i, j| if i == j { std[i] * std[i] } else { 0.0 });
-        let difference = PoseDifference::between(&first, &second, &covariance).unwrap();
+        let difference = PoseBetweenHalves::between([&first, &second], &covariance).unwrap();
         // Five of the six are off by one.
         assert!((difference.ratio - (5.0_f64 / 6.0).sqrt()).abs() < 1e-9, "{difference:?}");
         assert!((difference.rotation_rad - 3e-4).abs() < 1e-12, "{difference:?}");
         assert!((difference.translation_m - 0.5).abs() < 1e-12, "{difference:?}");
-        assert_eq!(PoseDifference::between(&first, &second, &DMatrix::zeros(6, 6)), None);
+        assert_eq!(PoseBetweenHalves::between([&first, &second], &DMatrix::zeros(6, 6)), None);
     }
 }

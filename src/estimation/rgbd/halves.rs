@@ -1,12 +1,12 @@
-//! Two disjoint halves of the views of color and depth, each calibrated by itself: how far apart
-//! lenses and poses are in units of what the halves predict.
+//! Two disjoint halves of the views of color and depth, each calibrated by itself: by how much
+//! lenses and poses differ in units of what the halves predict.
 
 use nalgebra::DMatrix;
 
 use crate::estimation::rgbd::calibrate_rgbd;
 use crate::estimation::rgbd::problem::{DepthLens, RgbdEstimate, RgbdProblem};
 use crate::estimation::split_halves::{
-    MIN_FRAME_SETS, PoseDifference, StatedLens, projection_ratio,
+    LensWithCovariance, MIN_FRAME_SETS, PoseBetweenHalves, projection_ratio,
 };
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
@@ -28,7 +28,7 @@ pub struct RgbdDifference {
     /// In the lens of infrared and depth, where it is estimated.
     pub depth: Option<LensDifference>,
     /// In where depth is.
-    pub color_from_depth: Option<PoseDifference>,
+    pub color_from_depth: Option<PoseBetweenHalves>,
 }
 
 /// How far two halves differ in a lens.
@@ -76,7 +76,7 @@ impl RgbdHalves {
         let color_covariance = &a.color_covariance + &b.color_covariance;
         let color = LensDifference::between(
             [&a.color, &b.color],
-            StatedLens { lens: &whole.color, covariance: &color_covariance },
+            LensWithCovariance { lens: &whole.color, covariance: &color_covariance },
             color_size,
         );
         let depth_covariance = &a.depth_covariance + &b.depth_covariance;
@@ -84,14 +84,14 @@ impl RgbdHalves {
         let depth = estimated.then(|| {
             LensDifference::between(
                 [&a.depth.lens, &b.depth.lens],
-                StatedLens { lens: &whole.depth.lens, covariance: &depth_covariance },
+                LensWithCovariance { lens: &whole.depth.lens, covariance: &depth_covariance },
                 whole.depth.image_size,
             )
         });
         let covariance = a.color_from_depth_covariance + b.color_from_depth_covariance;
         let covariance = DMatrix::from_column_slice(6, 6, covariance.as_slice());
         let color_from_depth =
-            PoseDifference::between(&a.color_from_depth, &b.color_from_depth, &covariance);
+            PoseBetweenHalves::between([&a.color_from_depth, &b.color_from_depth], &covariance);
         Some(RgbdDifference { color, depth, color_from_depth })
     }
 }
@@ -111,7 +111,11 @@ impl RgbdDifference {
 }
 
 impl LensDifference {
-    fn between(lenses: [&Lens; 2], predicted: StatedLens<'_>, image_size: ImageSize) -> Self {
+    fn between(
+        lenses: [&Lens; 2],
+        predicted: LensWithCovariance<'_>,
+        image_size: ImageSize,
+    ) -> Self {
         let focal_change =
             (lenses[0].matrix.fx - lenses[1].matrix.fx).abs() / predicted.lens.matrix.fx;
         let ratio = projection_ratio(lenses, predicted, image_size).filter(|it| it.is_finite());
