@@ -129,19 +129,9 @@ impl<'a> SplitHalves<'a> {
     ) -> Option<f64> {
         let covariance =
             self.lens_covariance(0, sensor, stated)? + self.lens_covariance(1, sensor, stated)?;
-        let grid = PixelGrid::over(image_size, COLUMNS);
-        let predicted = projection_uncertainty(stated.lens, &covariance, grid, Distance::Infinity)?;
-        let [a, b] = [0, 1].map(|half| &self.halves[half].state.lenses[sensor]);
-        let seen = projection_difference(a, b, grid, &predicted.weights);
-        // Each pixel against its own prediction: a corner that no view reached must not drown the
-        // rest.
-        let ratios = seen.iter().zip(&predicted.square_px2).filter_map(|(seen, predicted)| {
-            let [x, y] = (*seen)?;
-            Some((x * x + y * y) / (*predicted)?)
-        });
-        let (count, sum) =
-            ratios.fold((0.0, 0.0), |(count, sum), ratio| (count + 1.0, sum + ratio));
-        Some(f64::sqrt(sum / count))
+        let of_difference = LensWithCovariance { covariance: &covariance, ..stated };
+        let lenses = [0, 1].map(|half| &self.halves[half].state.lenses[sensor]);
+        projection_ratio(lenses, of_difference, image_size)
     }
 
     /// By how much the focal length of `sensor` differs between the halves, relative to that of
@@ -152,8 +142,7 @@ impl<'a> SplitHalves<'a> {
     }
 
     /// By how much the halves differ in where `sensor` is on the rig; its pose has the covariance
-    /// `stated`.
-    /// `None` for the first sensor, which is the rig's own frame.
+    /// `stated`. `None` for the first sensor, which is the rig's own frame.
     pub(crate) fn pose_difference(
         &self,
         sensor: usize,
