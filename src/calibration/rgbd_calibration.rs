@@ -17,9 +17,8 @@ use crate::estimation::board_pose::board_poses;
 use crate::estimation::depth_error::JudgedTile;
 use crate::estimation::problem::{BoardView, Correspondence};
 use crate::estimation::rgbd::RgbdEstimate;
-use crate::estimation::rgbd::halves::{LensDifference, RgbdDifference};
-use crate::estimation::rig::SensorHalves;
-use crate::estimation::split_halves::PoseBetweenHalves;
+use crate::estimation::rgbd::halves::RgbdDifference;
+use crate::estimation::split_halves::{LensDifference, PoseBetweenHalves};
 use crate::geometry::depth_camera::DepthReading;
 use crate::geometry::lens::Lens;
 use crate::geometry::median::median;
@@ -107,20 +106,19 @@ pub(super) fn judged_with_depth(
 /// A sensor that was solved by itself, with what halves of the views say of the joint solve.
 fn in_halves(alone: &SolvedCamera, halves: Option<LensDifference>) -> SolvedCamera {
     let mut solved = alone.clone();
-    if let Some(LensDifference { ratio, focal_change }) = halves {
-        let (lens_ratio, pose, held_out_rms_px) = (ratio, None, None);
-        solved.take_halves(&SensorHalves { lens_ratio, focal_change, pose, held_out_rms_px });
+    if let Some(lens) = halves {
+        solved.take_halves(lens, None);
     }
     solved
 }
 
-/// What two halves of the views say of depth's place, and of its lens where only planes show it.
+/// What two halves of the views say of where depth is, and of its lens where only planes show it.
 pub(super) fn halves_of_depth(solved: &SolvedRgbd) -> Vec<Finding> {
     let Some(RgbdDifference { depth, color_from_depth, .. }) = solved.halves else {
         return Vec::new();
     };
     let advice = "add views, tilted, near and far, and hold the board still for each";
-    let place = color_from_depth.and_then(|PoseBetweenHalves { ratio, rotation_rad, translation_m }| {
+    let pose = color_from_depth.and_then(|PoseBetweenHalves { ratio, rotation_rad, translation_m }| {
         let (rotation_deg, translation_mm) = (rotation_rad.to_degrees(), 1e3 * translation_m);
         let reason = format!(
             "two halves of the views differ in where depth is {ratio:.1} times as much as their uncertainties predict ({rotation_deg:.2}°, {translation_mm:.1} mm): {advice}"
@@ -135,7 +133,7 @@ pub(super) fn halves_of_depth(solved: &SolvedRgbd) -> Vec<Finding> {
         );
         Finding::worse_than_good(Grade::of_figure(ratio, SPLIT_HALF), reason)
     });
-    place.into_iter().chain(lens).collect()
+    pose.into_iter().chain(lens).collect()
 }
 
 /// Where depth is in color's frame, by the device alone.

@@ -17,7 +17,7 @@ use crate::estimation::error::EstimationError;
 use crate::estimation::interrupt::Interrupt;
 use crate::estimation::model_check::ModelCheck;
 use crate::estimation::problem::CameraProblem;
-use crate::estimation::rig::SensorHalves;
+use crate::estimation::split_halves::LensDifference;
 use crate::estimation::uncertainty::{
     Distance, MedianAndWorst, PixelGrid, UncertaintyMap, projection_uncertainty,
 };
@@ -68,13 +68,11 @@ impl VerdictBasis {
 
 impl SolvedCamera {
     /// Takes what two halves of the views say from a solve with other sensors.
-    pub(super) fn take_halves(&mut self, halves: &SensorHalves) {
+    pub(super) fn take_halves(&mut self, lens: LensDifference, held_out_rms_px: Option<f64>) {
         let check = &mut self.basis.model_check;
-        check.split_half_ratio = halves.lens_ratio;
-        check.focal_change = Some(halves.focal_change);
-        check.held_out_rms_px = halves.held_out_rms_px;
-        self.checks.split_half_ratio = halves.lens_ratio;
-        self.checks.held_out_rms_px = halves.held_out_rms_px;
+        (check.split_half_ratio, check.focal_change) = (lens.ratio, Some(lens.focal_change));
+        check.held_out_rms_px = held_out_rms_px;
+        (self.checks.split_half_ratio, self.checks.held_out_rms_px) = (lens.ratio, held_out_rms_px);
     }
 
     /// The verdict with the uncertainty of `sensor`, which a solve with other sensors made smaller.

@@ -138,13 +138,9 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
         .factory
         .and_then(|factory| FactoryCheck::of(&problem, &joint, &halves, factory));
     let halves = halves.difference(&problem, &joint, input.color_size);
-    let of_factory = factory.as_ref().is_some_and(|factory| factory.kept.is_some());
-    let halves =
-        halves.map(
-            |halves| {
-                if of_factory && infrared.is_none() { halves.of_color_alone() } else { halves }
-            },
-        );
+    let is_kept = factory.as_ref().is_some_and(|factory| factory.kept.is_some());
+    let color_alone = is_kept && infrared.is_none();
+    let halves = halves.map(|it| if color_alone { it.of_color_alone() } else { it });
     let stated_infrared =
         frame_set_of_view.iter().map(|frame_set| labeled.frame_sets[*frame_set].infrared.clone());
     let stated_infrared = stated_infrared.collect();

@@ -114,7 +114,7 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
     let mut sensors: Vec<ImageCalibration> =
         alone.iter().map(|one| one.solved.sensor.clone()).collect();
     let mut extrinsics = Vec::new();
-    let mut worst_place: Option<f64> = None;
+    let mut worst_pose_ratio: Option<f64> = None;
     for group in &groups {
         if !leads_to_another(group, &alone) {
             let reason = open_place(&alone[group[0]]);
@@ -126,10 +126,10 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
         let members: Vec<&Alone<'_>> = group.iter().map(|index| &alone[*index]).collect();
         let joint = Joint::solve(input, &members, options).map_err(RigError::Joint)?;
         findings.extend(joint.findings(&members));
-        let places = joint.halves.iter().filter_map(|halves| Some(halves.pose?.ratio));
-        worst_place = places.chain(worst_place).reduce(f64::max);
+        let ratios = joint.halves.iter().filter_map(|halves| Some(halves.pose?.ratio));
+        worst_pose_ratio = ratios.chain(worst_pose_ratio).reduce(f64::max);
         for (index, halves) in group.iter().zip(&joint.halves) {
-            alone[*index].solved.take_halves(halves);
+            alone[*index].solved.take_halves(halves.lens, halves.held_out_rms_px);
         }
         for (index, sensor) in group.iter().zip(joint.sensors) {
             sensors[*index] = sensor;
@@ -138,7 +138,7 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
     }
     let verdict = verdict(&alone, &sensors, findings);
     let sensors = alone.iter().zip(sensors).map(|(one, sensor)| (one.input.id.clone(), sensor));
-    let checks = checks(&alone, worst_place);
+    let checks = checks(&alone, worst_pose_ratio);
     Ok(SolvedRig { sensors: sensors.collect(), extrinsics, checks, verdict })
 }
 
@@ -211,13 +211,13 @@ fn connected(alone: &[Alone<'_>]) -> Vec<Vec<usize>> {
     groups
 }
 
-/// `place_ratio`: the split-half ratio of the worst sensor's pose.
-fn checks(alone: &[Alone<'_>], place_ratio: Option<f64>) -> Checks {
+/// `pose_ratio`: the split-half ratio of the worst sensor's pose.
+fn checks(alone: &[Alone<'_>], pose_ratio: Option<f64>) -> Checks {
     let all = || alone.iter().map(|one| &one.solved.checks);
     let worst = |figure: fn(&Checks) -> Option<f64>| all().filter_map(figure).reduce(f64::max);
     let lens_ratio = worst(|checks| checks.split_half_ratio);
     Checks {
-        split_half_ratio: lens_ratio.into_iter().chain(place_ratio).reduce(f64::max),
+        split_half_ratio: lens_ratio.into_iter().chain(pose_ratio).reduce(f64::max),
         held_out_rms_px: worst(|checks| checks.held_out_rms_px),
         outlier_fraction: worst(|checks| Some(checks.outlier_fraction)).unwrap_or(0.0),
         coverage: all().map(|checks| checks.coverage).reduce(f64::min).unwrap_or(0.0),

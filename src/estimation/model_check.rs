@@ -96,11 +96,11 @@ impl ModelCheck {
         let halves = SplitHalves::of(fit)?;
         let stated =
             LensWithCovariance { lens: &estimate.lens, covariance: &estimate.lens_covariance };
-        let split_half_ratio = halves.lens_ratio(0, stated, estimate.image_size)?;
+        let difference = halves.lens_difference(0, stated, estimate.image_size);
         Some(Self {
-            split_half_ratio: Some(split_half_ratio).filter(|ratio| ratio.is_finite()),
+            split_half_ratio: difference.ratio,
             held_out_rms_px: halves.held_out_rms_px(0),
-            focal_change: Some(halves.focal_change(0, &estimate.lens)),
+            focal_change: Some(difference.focal_change),
             ..Self::default()
         })
     }

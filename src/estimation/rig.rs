@@ -14,7 +14,9 @@ use crate::estimation::lens_choice::choose_lens;
 use crate::estimation::problem::{BoardView, CameraOptions, CameraProblem, LensChoice, check};
 use crate::estimation::robust_fit::robust_fit;
 use crate::estimation::shape_widening::widening;
-use crate::estimation::split_halves::{LensWithCovariance, PoseBetweenHalves, SplitHalves};
+use crate::estimation::split_halves::{
+    LensDifference, LensWithCovariance, PoseBetweenHalves, SplitHalves,
+};
 use crate::estimation::start::{Prepared, mean_point};
 use crate::estimation::view_fault::ViewFault;
 use crate::geometry::median::median_pose;
@@ -70,12 +72,9 @@ pub struct RigEstimate {
 /// How far two halves of a rig's frame sets, fitted separately, differ in one sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SensorHalves {
-    /// As [`crate::estimation::model_check::ModelCheck::split_half_ratio`]; `None` for a lens that
-    /// is not estimated.
-    pub lens_ratio: Option<f64>,
-    /// By how much the focal length differs, relative to itself.
-    pub focal_change: f64,
-    /// By how much they differ in where it is; `None` for the first sensor, which is the rig's own frame.
+    /// In its lens.
+    pub lens: LensDifference,
+    /// In where it is; `None` for the first sensor, which is the rig's own frame.
     pub pose: Option<PoseBetweenHalves>,
     /// Root mean square error of each half's views under lenses and sensors of the other half, in
     /// pixels.
@@ -158,8 +157,7 @@ fn compare_halves(
         let stated = LensWithCovariance { lens: &camera.lens, covariance: &camera.lens_covariance };
         let covariance = DMatrix::from_column_slice(6, 6, pose.covariance.as_slice());
         SensorHalves {
-            lens_ratio: halves.lens_ratio(sensor, stated, camera.image_size),
-            focal_change: halves.focal_change(sensor, &camera.lens),
+            lens: halves.lens_difference(sensor, stated, camera.image_size),
             pose: halves.pose_difference(sensor, &covariance),
             held_out_rms_px: halves.held_out_rms_px(sensor),
         }

@@ -36,6 +36,34 @@ pub(crate) struct LensWithCovariance<'a> {
     pub(crate) covariance: &'a DMatrix<f64>,
 }
 
+/// By how much two halves differ in a lens.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LensDifference {
+    /// As [`crate::estimation::model_check::ModelCheck::split_half_ratio`]; `None` where nothing is
+    /// predicted, as for a lens that is not estimated.
+    pub ratio: Option<f64>,
+    /// By how much the focal length differs, relative to itself.
+    pub focal_change: f64,
+}
+
+impl LensDifference {
+    /// Of the lenses that the halves have, beside `stated`; `covariance` is that of their
+    /// difference, `None` where it is not determined.
+    pub(crate) fn between(
+        lenses: [&Lens; 2],
+        stated: &Lens,
+        covariance: Option<&DMatrix<f64>>,
+        image_size: ImageSize,
+    ) -> Self {
+        let [a, b] = lenses.map(|lens| lens.matrix.fx);
+        let ratio = covariance.and_then(|covariance| {
+            projection_ratio(lenses, LensWithCovariance { lens: stated, covariance }, image_size)
+        });
+        let focal_change = (a - b).abs() / stated.matrix.fx;
+        Self { ratio: ratio.filter(|ratio| ratio.is_finite()), focal_change }
+    }
+}
+
 /// By how much two halves differ in where a sensor is.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PoseBetweenHalves {
@@ -71,7 +99,7 @@ impl PoseBetweenHalves {
 /// The difference of the projections of two lenses, after the best compensating rotation, over what
 /// is predicted at that pixel: the root of the mean square over the image. `predicted` is a lens
 /// near both, and the covariance of their difference. `None` where nothing is seen of the image.
-pub(crate) fn projection_ratio(
+fn projection_ratio(
     [first, second]: [&Lens; 2],
     predicted: LensWithCovariance<'_>,
     image_size: ImageSize,
@@ -118,27 +146,17 @@ impl<'a> SplitHalves<'a> {
         Some(Self { fit, frame_sets, halves })
     }
 
-    /// The difference of both halves' projections through `sensor`, after the best compensating
-    /// rotation, over what their uncertainties predict at that pixel: the root of the mean square
-    /// over the image. `None` where these are not determined, as for a lens that is not estimated.
-    pub(crate) fn lens_ratio(
+    /// By how much the halves differ in the lens of `sensor`, which is stated so.
+    pub(crate) fn lens_difference(
         &self,
         sensor: usize,
         stated: LensWithCovariance<'_>,
         image_size: ImageSize,
-    ) -> Option<f64> {
-        let covariance =
-            self.lens_covariance(0, sensor, stated)? + self.lens_covariance(1, sensor, stated)?;
-        let of_difference = LensWithCovariance { covariance: &covariance, ..stated };
+    ) -> LensDifference {
+        let of_half = |half: usize| self.lens_covariance(half, sensor, stated);
+        let covariance = of_half(0).zip(of_half(1)).map(|(a, b)| a + b);
         let lenses = [0, 1].map(|half| &self.halves[half].state.lenses[sensor]);
-        projection_ratio(lenses, of_difference, image_size)
-    }
-
-    /// By how much the focal length of `sensor` differs between the halves, relative to that of
-    /// `lens`.
-    pub(crate) fn focal_change(&self, sensor: usize, lens: &Lens) -> f64 {
-        let [a, b] = [0, 1].map(|half| self.halves[half].state.lenses[sensor].matrix.fx);
-        (a - b).abs() / lens.matrix.fx
+        LensDifference::between(lenses, stated.lens, covariance.as_ref(), image_size)
     }
 
     /// By how much the halves differ in where `sensor` is on the rig; its pose has the covariance

@@ -200,7 +200,7 @@ fn halves_of_a_rig_differ_as_predicted() {
         assert_eq!(left.pose, None, "the left one is the rig's own frame");
         let known = right.pose.unwrap();
         pose += known.ratio * known.ratio;
-        lens += [left, right].map(|of| of.lens_ratio.unwrap().powi(2) / 2.0).iter().sum::<f64>();
+        lens += [left, right].map(|of| of.lens.ratio.unwrap().powi(2) / 2.0).iter().sum::<f64>();
         count += 1.0;
         for (halves, camera) in [left, right].iter().zip(&estimate.cameras) {
             held_out += halves.held_out_rms_px.unwrap() / camera.rms_px / 2.0;

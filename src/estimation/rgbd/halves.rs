@@ -5,10 +5,7 @@ use nalgebra::DMatrix;
 
 use crate::estimation::rgbd::calibrate_rgbd;
 use crate::estimation::rgbd::problem::{DepthLens, RgbdEstimate, RgbdProblem};
-use crate::estimation::split_halves::{
-    LensWithCovariance, MIN_FRAME_SETS, PoseBetweenHalves, projection_ratio,
-};
-use crate::geometry::lens::Lens;
+use crate::estimation::split_halves::{LensDifference, MIN_FRAME_SETS, PoseBetweenHalves};
 use crate::geometry::pixel::ImageSize;
 
 /// Two halves of the views and what each gives.
@@ -29,15 +26,6 @@ pub struct RgbdDifference {
     pub depth: Option<LensDifference>,
     /// In where depth is.
     pub color_from_depth: Option<PoseBetweenHalves>,
-}
-
-/// How far two halves differ in a lens.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LensDifference {
-    /// As [`crate::estimation::model_check::ModelCheck::split_half_ratio`].
-    pub ratio: Option<f64>,
-    /// By how much the focal length differs, relative to itself.
-    pub focal_change: f64,
 }
 
 impl RgbdHalves {
@@ -76,7 +64,8 @@ impl RgbdHalves {
         let color_covariance = &a.color_covariance + &b.color_covariance;
         let color = LensDifference::between(
             [&a.color, &b.color],
-            LensWithCovariance { lens: &whole.color, covariance: &color_covariance },
+            &whole.color,
+            Some(&color_covariance),
             color_size,
         );
         let depth_covariance = &a.depth_covariance + &b.depth_covariance;
@@ -84,7 +73,8 @@ impl RgbdHalves {
         let depth = estimated.then(|| {
             LensDifference::between(
                 [&a.depth.lens, &b.depth.lens],
-                LensWithCovariance { lens: &whole.depth.lens, covariance: &depth_covariance },
+                &whole.depth.lens,
+                Some(&depth_covariance),
                 whole.depth.image_size,
             )
         });
@@ -107,18 +97,5 @@ impl RgbdDifference {
         let depth = self.depth.and_then(|depth| depth.ratio);
         let pose = self.color_from_depth.map(|pose| pose.ratio);
         [self.color.ratio, depth, pose].into_iter().flatten().reduce(f64::max)
-    }
-}
-
-impl LensDifference {
-    fn between(
-        lenses: [&Lens; 2],
-        predicted: LensWithCovariance<'_>,
-        image_size: ImageSize,
-    ) -> Self {
-        let focal_change =
-            (lenses[0].matrix.fx - lenses[1].matrix.fx).abs() / predicted.lens.matrix.fx;
-        let ratio = projection_ratio(lenses, predicted, image_size).filter(|it| it.is_finite());
-        Self { ratio, focal_change }
     }
 }
