@@ -16,6 +16,7 @@ use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::FrameSet;
 use crate::pipeline::camera_status::{CameraIdentity, CameraState, SensorStatus};
 use crate::pipeline::captured::{Captured, CapturedFrame};
+use crate::pipeline::closing::Closing;
 use crate::pipeline::frame_rate::FrameRate;
 use crate::pipeline::guarded::guarded;
 use crate::pipeline::live_camera::LiveCamera;
@@ -39,6 +40,9 @@ pub struct Supervision {
     /// The same for a device that was opened and has given no frame yet: many take a second or two.
     /// Default: 4 s.
     pub first_frame: Duration,
+    /// How long a source may take to close before it is said that its driver does not let go of
+    /// it. Default: 3 s; the slowest that answer wait 1 s for a last frame.
+    pub closing: Duration,
 }
 
 impl Default for Supervision {
@@ -50,6 +54,7 @@ impl Default for Supervision {
             moved_check: Duration::from_secs(2),
             stall: Duration::from_millis(1500),
             first_frame: Duration::from_secs(4),
+            closing: Duration::from_secs(3),
         }
     }
 }
@@ -59,6 +64,8 @@ const POLL: Duration = Duration::from_millis(200);
 /// How soon a waiting thread sees that a session began.
 const GLANCE: Duration = Duration::from_millis(20);
 const LONGEST_PACE: Duration = Duration::from_secs(1);
+/// Of a camera that was lost, and whose driver does not return from closing it.
+const HELD: &str = "; its driver does not let go of it: unplug it and plug it in again";
 
 /// Why a source is no longer read.
 enum End {
@@ -82,41 +89,58 @@ pub(super) struct Capture {
     pub(super) may_stall: bool,
     pub(super) rate: FrameRate,
     pub(super) retry: Duration,
+    /// What a driver has not let go of.
+    pub(super) held: Option<Closing>,
 }
 
 impl Capture {
     pub(super) fn run(mut self) {
         while !self.camera.stop.is_set() {
-            let end = guarded(|| self.open_and_deliver()).unwrap_or_else(End::Lost);
+            let mut source = None;
+            let end = guarded(|| self.open_and_deliver(&mut source)).unwrap_or_else(End::Lost);
             self.rate.forget();
             match end {
-                End::Stopped => return,
-                End::Again => {}
-                End::Ended { search, waits, cut } => self.rest(search.as_ref(), waits, cut),
+                End::Stopped => return self.close(source),
+                End::Again => self.close(source),
+                End::Ended { search, waits, cut } => {
+                    self.close(source);
+                    self.rest(search.as_ref(), waits, cut);
+                }
                 End::Lost(reason) => {
                     self.camera.metrics.lost.with_label_values(&[&self.camera.name]).inc();
                     let retry = self.retry;
                     self.retry = (retry * 2).min(self.supervision.longest_retry);
-                    self.wait_out(CameraState::Lost, &reason, retry);
+                    self.wait_out(source, CameraState::Lost, &reason, retry);
                 }
                 End::Failed(reason) => {
-                    self.wait_out(CameraState::Failed, &reason, self.supervision.failed_retry);
+                    let retry = self.supervision.failed_retry;
+                    self.wait_out(source, CameraState::Failed, &reason, retry);
                 }
             }
         }
     }
 
-    fn open_and_deliver(&mut self) -> End {
+    /// Opens the source, which is `opened` from then on, and passes its frames on.
+    fn open_and_deliver(&mut self, opened: &mut Option<Box<dyn FrameSource>>) -> End {
         let opened_for = self.camera.search.get();
         match self.open.open() {
-            Ok(mut source) => {
+            Ok(source) => {
+                let source = opened.insert(source).as_mut();
                 self.camera.metrics.opened.with_label_values(&[&self.camera.name]).inc();
                 let description = source.description();
                 self.introduce(&description);
-                self.deliver(source.as_mut(), &description, opened_for.as_ref())
+                self.deliver(source, &description, opened_for.as_ref())
             }
             Err(CaptureError::Failed { reason }) => End::Failed(reason),
             Err(error) => End::Lost(error.to_string()),
+        }
+    }
+
+    fn close(&mut self, source: Option<Box<dyn FrameSource>>) {
+        let Some(source) = source else { return };
+        let closing = Closing::begin(source, &self.camera.name);
+        if !closing.is_over(self.supervision.closing) {
+            self.held = Some(closing);
         }
     }
 
@@ -311,18 +335,41 @@ impl Capture {
         }
     }
 
-    /// Says what is wrong, and waits before the next try. The session's time goes on meanwhile.
-    fn wait_out(&self, state: CameraState, reason: &str, wait: Duration) {
+    /// Says what is wrong, closes the source, and waits before the next try. The session's time
+    /// goes on meanwhile.
+    fn wait_out(
+        &mut self,
+        source: Option<Box<dyn FrameSource>>,
+        state: CameraState,
+        reason: &str,
+        wait: Duration,
+    ) {
+        let began = Instant::now();
+        let was_held = self.is_held();
+        // Said before the source is closed, which a driver may keep from ending.
+        self.say(state, reason, was_held);
+        self.close(source);
+        if self.is_held() && !was_held {
+            self.say(state, reason, true);
+        }
+        self.camera.stop.wait(wait);
+        if let Some(search) = self.camera.search.get() {
+            search.assembly.waited(search.place, began.elapsed().as_secs_f64());
+        }
+    }
+
+    fn is_held(&self) -> bool {
+        self.held.as_ref().is_some_and(|closing| !closing.is_over(Duration::ZERO))
+    }
+
+    fn say(&self, state: CameraState, reason: &str, is_held: bool) {
+        let reason = &format!("{reason}{}", if is_held { HELD } else { "" });
         self.camera.status.send_modify(|status| status.fps = None);
         // Who hears that the camera is lost finds its session waiting.
         if let Some(search) = self.camera.search.get() {
             search.assembly.lost(search.place, reason);
         }
         self.camera.set_state(state, Some(reason));
-        self.camera.stop.wait(wait);
-        if let Some(search) = self.camera.search.get() {
-            search.assembly.waited(search.place, wait.as_secs_f64());
-        }
     }
 
     /// After the last frame: waits for another session to begin; a replay that waits is also shown

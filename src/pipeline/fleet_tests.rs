@@ -14,6 +14,7 @@ use crate::capture::{CaptureError, FrameSource};
 use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::SensorKind;
+use crate::pipeline::Supervision;
 use crate::pipeline::camera_status::CameraState;
 use crate::pipeline::event::EventKind;
 use crate::pipeline::fleet::Fleet;
@@ -135,12 +136,51 @@ async fn two_cameras_never_hold_each_other_up() {
     drop(release);
 }
 
+#[tokio::test]
+async fn a_driver_that_does_not_let_go_is_said_and_the_camera_comes_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let (plan, script) = scripted("front");
+    let feed = script.plug_in();
+    let supervision = Supervision { closing: Duration::ZERO, ..watched(PATIENCE) };
+    let fleet = fleet_supervised(vec![plan], &folder, supervision);
+    let mut events = fleet.events(Some(0));
+    let (release, held) = channel();
+    feed.send(ScriptStep::Hold(held)).unwrap();
+    feed.send(ScriptStep::Frame).unwrap();
+    until_state(&mut events, "front", CameraState::Streaming).await;
+    feed.send(ScriptStep::Fail(lost("unplugged"))).unwrap();
+    let status = until_state(&mut events, "front", CameraState::Lost).await;
+    assert_eq!(status.reason.as_deref(), Some("camera 7 was lost: unplugged"), "at once");
+    let advice = "; its driver does not let go of it: unplug it and plug it in again";
+    for problem in ["unplugged", "not plugged in"] {
+        let said = format!("camera 7 was lost: {problem}{advice}");
+        until(&mut events, |event| match &event.kind {
+            EventKind::Camera(status) => (status.reason.as_ref() == Some(&said)).then_some(()),
+            _ => None,
+        })
+        .await;
+    }
+    // Plugged in again it is another device to the system, whatever the driver does.
+    let feed = script.plug_in();
+    feed.send(ScriptStep::Frame).unwrap();
+    until_state(&mut events, "front", CameraState::Streaming).await;
+    drop(release);
+    feed.send(ScriptStep::Fail(lost("unplugged"))).unwrap();
+    until(&mut events, |event| match &event.kind {
+        EventKind::Camera(status) => {
+            (status.reason.as_deref() == Some("camera 7 was lost: not plugged in")).then_some(())
+        }
+        _ => None,
+    })
+    .await;
+}
+
 /// A replay of `frames` frames that waits for each to be searched.
 fn replay(frames: u64) -> CameraPlan {
     let open = move || {
         let (feed, steps) = channel();
         (0..frames).for_each(|_| feed.send(ScriptStep::Frame).unwrap());
-        Ok(Box::new(Scripted { steps, sequence: 0, waits: true, moved: false })
+        Ok(Box::new(Scripted { steps, sequence: 0, waits: true, moved: false, held: None })
             as Box<dyn FrameSource>)
     };
     CameraPlan {

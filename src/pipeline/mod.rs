@@ -1,13 +1,14 @@
 //! Where it becomes live: threads, channels, clocks. Uses every layer below.
 //!
-//! A frame's way is one, whatever the instrument: `capture-<camera>` owns the device and puts each
-//! frame set into a newest-wins slot (in a replay at full speed, a slot that waits instead);
-//! `detect-<camera>` takes it from there, searches for the board, or a scene's features, while a
-//! session collects, shows the frame with what was seen (`preview-<camera>` draws it, once for all
-//! who watch), and puts it into the session's `assembly`, where frames of several cameras meet and
-//! what may be kept is searched in full, with every other sensor; `session-<instrument>` owns the
-//! session, stores what it keeps, announces it, and answers requests. Solves run beside them on
-//! `solve-<instrument>`, so that no frame waits for one.
+//! A frame's way is one, whatever the instrument: `capture-<camera>` owns the device (which
+//! `close-<camera>` closes, however long that takes) and puts each frame set into a newest-wins
+//! slot (in a replay at full speed, a slot that waits instead); `detect-<camera>` takes it from
+//! there, searches for the board, or a scene's features, while a session collects, shows the frame
+//! with what was seen (`preview-<camera>` draws it, once for all who watch), and puts it into the
+//! session's `assembly`, where frames of several cameras meet and what may be kept is searched in
+//! full, with every other sensor; `session-<instrument>` owns the session, stores what it keeps,
+//! announces it, and answers requests. Solves run beside them on `solve-<instrument>`, so that no
+//! frame waits for one.
 //!
 //! Each camera is an instrument, and each rig is one more, with cameras that it acquires while its
 //! session collects. Every queue has a bound, and every drop a count in the metrics.
@@ -21,6 +22,7 @@ pub mod camera_status;
 mod capture_thread;
 mod captured;
 mod clock;
+mod closing;
 mod collecting;
 mod detect_thread;
 mod drift;

@@ -172,6 +172,7 @@ pub(super) fn start_camera(
         may_stall,
         rate: FrameRate::default(),
         retry: options.supervision.first_retry,
+        held: None,
     };
     let detect = Detect::new(Arc::clone(&camera));
     let shown = Arc::clone(&camera);

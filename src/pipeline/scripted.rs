@@ -34,6 +34,8 @@ pub(super) enum ScriptStep {
     Panic,
     /// Somebody moved its focus ring.
     Move,
+    /// From now on its driver lets go of it only when the other end is dropped.
+    Hold(Receiver<()>),
 }
 
 pub(super) fn lost(reason: &str) -> CaptureError {
@@ -46,6 +48,15 @@ pub(super) struct Scripted {
     pub(super) sequence: u64,
     pub(super) waits: bool,
     pub(super) moved: bool,
+    pub(super) held: Option<Receiver<()>>,
+}
+
+impl Drop for Scripted {
+    fn drop(&mut self) {
+        if let Some(held) = &self.held {
+            let _ = held.recv();
+        }
+    }
 }
 
 pub(super) fn gray_frame(sequence: u64) -> FrameSet {
@@ -77,6 +88,10 @@ impl FrameSource for Scripted {
             Ok(ScriptStep::Panic) => panic!("the driver's binding broke"),
             Ok(ScriptStep::Move) => {
                 self.moved = true;
+                Err(CaptureError::TimedOut { waited: Duration::ZERO })
+            }
+            Ok(ScriptStep::Hold(until_dropped)) => {
+                self.held = Some(until_dropped);
                 Err(CaptureError::TimedOut { waited: Duration::ZERO })
             }
             Err(RecvTimeoutError::Timeout) => Err(CaptureError::TimedOut { waited: timeout }),
@@ -115,7 +130,7 @@ pub(super) fn scripted(name: &str) -> (CameraPlan, Script) {
     let (openings, next) = channel::<Result<Receiver<ScriptStep>, CaptureError>>();
     let open = move || {
         let steps = next.try_recv().unwrap_or_else(|_| Err(lost("not plugged in")))?;
-        Ok(Box::new(Scripted { steps, sequence: 0, waits: false, moved: false })
+        Ok(Box::new(Scripted { steps, sequence: 0, waits: false, moved: false, held: None })
             as Box<dyn FrameSource>)
     };
     let plan = CameraPlan {
@@ -150,15 +165,28 @@ pub(super) fn fleet_of(
     folder: &tempfile::TempDir,
     stall: Duration,
 ) -> Fleet {
+    fleet_supervised(plans, folder, watched(stall))
+}
+
+/// Retries at once, has patience with silence as `stall` says, and with closing.
+pub(super) fn watched(stall: Duration) -> Supervision {
     let soon = Duration::from_millis(1);
-    let supervision = Supervision {
+    Supervision {
         first_retry: soon,
         longest_retry: soon,
         moved_check: Duration::ZERO,
         failed_retry: soon,
         stall,
         first_frame: stall,
-    };
+        closing: PATIENCE,
+    }
+}
+
+pub(super) fn fleet_supervised(
+    plans: Vec<CameraPlan>,
+    folder: &tempfile::TempDir,
+    supervision: Supervision,
+) -> Fleet {
     let options = FleetOptions { supervision, ..FleetOptions::default() };
     Fleet::start(plans, Arc::new(released(folder)), &options).unwrap()
 }

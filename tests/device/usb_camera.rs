@@ -64,13 +64,20 @@ pub struct CameraModel {
     pub fps: u32,
 }
 
+/// Transfers that uvcvideo keeps under way while it streams (its `UVC_URBS`).
+const TRANSFERS: usize = 5;
+/// How long unplugging waits for them.
+const SETTLING: Duration = Duration::from_secs(5);
+
 /// A camera that is plugged in; unplugged with this value.
 ///
-/// What is about to close the camera must be gone before: vhci-hcd of Linux 6.1 loses a transfer
-/// that it has not sent yet when its unlinking and the end of the connection meet, and
-/// `VIDIOC_STREAMOFF` then waits for that transfer for ever. A stream that goes on is stopped by
-/// the driver itself, in order.
-pub struct UsbCamera(UnixStream);
+/// vhci-hcd of Linux 6.1 loses a transfer that it has not sent yet when its unlinking and the end
+/// of the connection meet: `VIDIOC_STREAMOFF` then waits for that transfer for ever, and the hub
+/// with it. So the connection ends when every transfer of the stream has been sent.
+pub struct UsbCamera {
+    connection: UnixStream,
+    link: Arc<Link>,
+}
 
 impl UsbCamera {
     /// Plugs it in. `image` makes its frames, one after the other.
@@ -82,17 +89,24 @@ impl UsbCamera {
         let link = Arc::new(Link::default());
         let streaming = (ours.try_clone().unwrap(), Arc::clone(&link), model.fps);
         thread::spawn(move || stream(&streaming.0, &streaming.1, streaming.2, image));
-        let answering = ours.try_clone().unwrap();
-        thread::spawn(move || answer_all(answering, &link, &model));
+        let (answering, answered) = (ours.try_clone().unwrap(), Arc::clone(&link));
+        thread::spawn(move || answer_all(answering, &answered, &model));
         let attach = format!("{PORT} {} {} {HIGH_SPEED}", kernels.as_raw_fd(), 0x1_0001);
         fs::write(format!("{BUS}/attach"), attach).unwrap();
-        Self(ours)
+        Self { connection: ours, link }
     }
 }
 
 impl Drop for UsbCamera {
     fn drop(&mut self) {
-        let _ = self.0.shutdown(Shutdown::Both);
+        let mut state = self.link.state.lock().unwrap();
+        state.unplugging = true;
+        let settles = |state: &mut State| {
+            state.image.is_some() && state.waiting.len() < TRANSFERS && !state.ended
+        };
+        state = self.link.changed.wait_timeout_while(state, SETTLING, settles).unwrap().0;
+        let _ = self.connection.shutdown(Shutdown::Both);
+        drop(state);
     }
 }
 
@@ -109,6 +123,8 @@ struct State {
     waiting: VecDeque<(u32, usize)>,
     /// What is streamed.
     image: Option<VideoFormat>,
+    /// No transfer of the stream is answered any more.
+    unplugging: bool,
     ended: bool,
 }
 
@@ -205,7 +221,9 @@ fn stream(
     let mut shown = None;
     loop {
         let mut state = link.state.lock().unwrap();
-        while !state.ended && (state.image.is_none() || state.waiting.is_empty()) {
+        while !state.ended
+            && (state.unplugging || state.image.is_none() || state.waiting.is_empty())
+        {
             state = link.changed.wait(state).unwrap();
         }
         if state.ended {
