@@ -46,7 +46,7 @@ pub struct Drift {
     pub reason: String,
     /// The reprojection error of the boards seen, with only their poses fitted and without the
     /// motion that the calibration's own views showed while rows were read, in pixels; `None` where
-    /// images of another size cannot be compared.
+    /// no boards were compared.
     pub rms_px: Option<f64>,
     /// What the calibration had when it was made, in pixels.
     pub expected_px: f64,

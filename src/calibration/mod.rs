@@ -17,6 +17,7 @@ mod list_shift;
 pub mod observations;
 pub mod placement;
 pub mod plane_error;
+pub mod provenance;
 pub mod result;
 pub mod rgbd_calibration;
 mod rgbd_check;

@@ -61,7 +61,8 @@ pub enum SessionState {
     Finished,
     /// Has none, and says why; its views stay.
     Failed,
-    /// Was given up, by request or because a camera's source is another one now; its views stay.
+    /// Was given up, by request or because a camera's source or device is another one now; its views
+    /// stay.
     Aborted,
 }
 
@@ -172,6 +173,8 @@ pub struct SessionRecord {
     /// What the images of each camera come from, by its name, in words: views of another source are
     /// of another lens.
     pub sources: BTreeMap<String, String>,
+    /// Which device each camera is, by its name: model and serial number, where it says.
+    pub devices: BTreeMap<String, String>,
     /// What was asked for.
     pub request: SessionRequest,
     /// Where it stands.
@@ -218,6 +221,7 @@ impl SessionRecord {
             camera: camera.to_owned(),
             members: Vec::new(),
             sources: BTreeMap::new(),
+            devices: BTreeMap::new(),
             request,
             state: SessionState::Collecting,
             reason: None,
@@ -245,13 +249,15 @@ impl SessionRecord {
     /// # Errors
     /// Why it cannot go on with images of `source`, in words: those before came from another one.
     pub fn take_source(&mut self, camera: &str, source: &str) -> Result<(), String> {
-        let known = self.sources.entry(camera.to_owned()).or_insert_with(|| source.to_owned());
-        if *known == source {
-            return Ok(());
-        }
-        Err(format!(
-            "the source of camera `{camera}` is {source} now, was {known}: the views of both would mix; what was gathered stays, start a new session"
-        ))
+        take("source", &mut self.sources, camera, source)
+    }
+
+    /// Takes which device a camera is now, where it is not known yet.
+    ///
+    /// # Errors
+    /// As [`Self::take_source`].
+    pub(super) fn take_device(&mut self, camera: &str, device: &str) -> Result<(), String> {
+        take("device", &mut self.devices, camera, device)
     }
 
     /// What it says of the camera, of an instrument that is one.
@@ -280,4 +286,21 @@ impl SessionRecord {
             self.guidance = member.guidance.clone();
         }
     }
+}
+
+/// Takes what a camera's images come `from`, where it is not known yet; why not, where it is
+/// another one.
+fn take(
+    what: &str,
+    known: &mut BTreeMap<String, String>,
+    camera: &str,
+    from: &str,
+) -> Result<(), String> {
+    let known = known.entry(camera.to_owned()).or_insert_with(|| from.to_owned());
+    if *known == from {
+        return Ok(());
+    }
+    Err(format!(
+        "the {what} of camera `{camera}` is {from} now, was {known}: the views of both would mix; what was gathered stays, start a new session"
+    ))
 }

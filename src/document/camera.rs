@@ -34,7 +34,8 @@ pub struct CameraDocument {
     pub backend: String,
     /// What it is doing.
     pub state: CameraStateName,
-    /// Why it is in this state; null when nothing is wrong.
+    /// Why it is in this state, or why its current calibration may not hold; null when nothing is
+    /// wrong.
     pub reason: Option<String>,
     /// Its sensors, by name; empty before the first frame.
     pub sensors: BTreeMap<String, CameraSensorDocument>,

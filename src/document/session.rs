@@ -149,8 +149,8 @@ pub enum SessionStateName {
     Finished,
     /// There is none, and `reason` says why; the views stay.
     Failed,
-    /// Given up: by request, or because a camera's source in the configuration is another one now;
-    /// the views stay.
+    /// Given up: by request, or because a camera's source in the configuration, or its device, is
+    /// another one now; the views stay.
     Aborted,
 }
 
@@ -194,6 +194,10 @@ pub struct SessionDocument {
     /// mode. A session never mixes two.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub sources: BTreeMap<String, String>,
+    /// Which device each camera is, by its name: model and serial number, where it says. A session
+    /// never mixes two.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub devices: BTreeMap<String, String>,
     /// Where it stands.
     pub state: SessionStateName,
     /// Why it failed, waits or was given up.
@@ -238,6 +242,7 @@ impl From<&SessionRecord> for SessionDocument {
             camera: record.camera.clone(),
             cameras: record.members.iter().map(SessionMemberDocument::from).collect(),
             sources: record.sources.clone(),
+            devices: record.devices.clone(),
             state: record.state.into(),
             reason: record.reason.clone(),
             started_at: time::from_utc_ns(record.started_at_ns),
@@ -278,6 +283,7 @@ impl SessionDocument {
             camera: self.camera.clone(),
             members: self.cameras.iter().map(SessionMember::try_from).collect::<Result<_, _>>()?,
             sources: self.sources.clone(),
+            devices: self.devices.clone(),
             request: (&start).try_into()?,
             state: self.state.into(),
             reason: self.reason.clone(),

@@ -210,17 +210,18 @@ fn calibration_document<'a>(
 }
 
 /// The current calibration may not hold any more (`drift`): the device's focus, zoom or exposure
-/// was moved, or the boards of a later session are explained worse than they should be.
+/// was moved, it is another device or gives images of another size, or the boards of a later
+/// session are explained worse than they should be.
 #[derive(Debug, Serialize, ToSchema)]
 pub(super) struct DriftEventDocument<'a> {
-    /// The camera's name.
+    /// The camera's name, or the rig's.
     camera: &'a str,
     /// The current calibration.
     calibration: &'a str,
     /// What has changed and what to do.
     reason: &'a str,
     /// The reprojection error of the boards seen lately, with only their poses fitted, in pixels;
-    /// null where the device said that it was moved, or its images have another size.
+    /// null where no boards were compared.
     rms_px: Option<f64>,
     /// What the calibration had when it was made, in pixels.
     expected_px: f64,

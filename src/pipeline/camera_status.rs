@@ -54,6 +54,18 @@ pub struct CameraIdentity {
     pub bus: Option<String>,
 }
 
+impl CameraIdentity {
+    /// The device in words, without where it is plugged in; `None` where it says nothing.
+    pub fn device(&self) -> Option<String> {
+        match (&self.model, &self.serial) {
+            (Some(model), Some(serial)) => Some(format!("{model}, serial {serial}")),
+            (Some(model), None) => Some(model.clone()),
+            (None, Some(serial)) => Some(format!("serial {serial}")),
+            (None, None) => None,
+        }
+    }
+}
+
 /// A camera as seen from outside.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CameraStatus {

@@ -258,7 +258,7 @@ impl Capture {
     fn report_moved(&self, source: &dyn FrameSource) {
         let moved = source.moved_since_calibrating();
         let known = self.camera.status.borrow().reason == moved;
-        self.camera.set_state(CameraState::Streaming, moved.as_deref());
+        self.camera.gives_frames(moved.as_deref());
         if let Some(moved) = moved.filter(|_| !known) {
             let _ = self.camera.messages.blocking_send(Message::Moved(moved));
         }
@@ -328,7 +328,7 @@ impl Capture {
             }
         });
         if self.camera.status.borrow().state != CameraState::Streaming {
-            self.camera.set_state(CameraState::Streaming, None);
+            self.camera.gives_frames(None);
             if let Some(search) = self.camera.search.get() {
                 search.assembly.back(search.place);
             }

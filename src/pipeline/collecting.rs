@@ -63,6 +63,17 @@ impl SessionThread {
         cameras.try_for_each(|camera| record.take_source(&camera.name, &camera.image_source))
     }
 
+    /// Takes which devices give the frames.
+    pub(super) fn take_devices(&mut self) {
+        for camera in &Arc::clone(&self.instrument).cameras {
+            if let Some(device) = camera.streaming_device() {
+                self.let_happen(|session| {
+                    session.device_gives_frames(&camera.name, &device, utc_now_ns())
+                });
+            }
+        }
+    }
+
     /// The session of `record` with its stored views, and what to do first.
     fn resumed(&self, record: SessionRecord, stored: &[SensorView]) -> (Session, Vec<Action>) {
         if record.request.target.is_scene() {
@@ -160,6 +171,7 @@ impl SessionThread {
         let mut record = SessionRecord::begin(&id, &instrument.name, request, utc_now_ns());
         for camera in &instrument.cameras {
             record.sources.insert(camera.name.clone(), camera.image_source.clone());
+            record.devices.extend(camera.streaming_device().map(|it| (camera.name.clone(), it)));
         }
         let session = Session::begin(record, &instrument.member_names(), &self.admission);
         let record = session.record().clone();

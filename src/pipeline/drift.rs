@@ -4,7 +4,6 @@
 use crate::calibration::drift::{Drift, DriftWatch};
 use crate::calibration::result::ImageCalibration;
 use crate::calibration::session::KeptView;
-use crate::pipeline::event::EventKind;
 use crate::pipeline::session_thread::SessionThread;
 
 impl SessionThread {
@@ -22,14 +21,14 @@ impl SessionThread {
         let Some(board) = session.record().request.target.board() else { return };
         let seen = view.to_board_view(&board);
         if let Some(drift) = watch.see(&seen, view.frame.image_size) {
-            self.publish_drift(drift);
+            self.publish_drift(&drift);
         }
     }
 
     /// The device reports that what a session held still is no longer as it was.
     pub(super) fn report_moved(&self, what: String) {
         if let Some((calibration, sensor)) = self.current_calibration() {
-            self.publish_drift(Drift {
+            self.publish_drift(&Drift {
                 calibration,
                 reason: what,
                 rms_px: None,
@@ -38,10 +37,12 @@ impl SessionThread {
         }
     }
 
-    fn publish_drift(&self, drift: Drift) {
-        let Drift { calibration, reason, .. } = &drift;
-        tracing::warn!(camera = self.instrument.name, calibration, "{reason}");
-        self.instrument.publish(EventKind::Drift(drift));
+    /// Of the camera that the instrument is.
+    fn publish_drift(&self, drift: &Drift) {
+        self.instrument
+            .cameras
+            .iter()
+            .for_each(|camera| camera.publish_drift(&camera.name, drift.clone()));
     }
 
     fn current_calibration(&self) -> Option<(String, ImageCalibration)> {

@@ -122,7 +122,7 @@ impl Fleet {
         let missing = || ApproveError::NotConfigured { id: id.to_owned(), name: name.clone() };
         let instrument = known.ok_or_else(missing)?;
         self.shared.store.set_current(name, id)?;
-        instrument.set_calibration(id);
+        instrument.set_calibration(id, &self.shared.store);
         if let Some(event) = CalibrationEvent::of(&calibration, true) {
             self.shared.events.publish(name, EventKind::Calibration(event));
         }

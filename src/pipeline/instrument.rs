@@ -12,6 +12,7 @@ use crate::pipeline::live_camera::LiveCamera;
 use crate::pipeline::message::Message;
 use crate::pipeline::metrics::Metrics;
 use crate::pipeline::stop_signal::StopSignal;
+use crate::store::Store;
 
 /// A rig to set going: cameras that are fixed to each other.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -60,19 +61,17 @@ impl Instrument {
     }
 
     /// Shows the calibration that holds from now on.
-    pub(super) fn set_calibration(&self, id: &str) {
+    pub(super) fn set_calibration(&self, id: &str, store: &Store) {
         self.calibration.send_replace(Some(id.to_owned()));
         match (self.cameras.as_slice(), self.is_rig) {
-            ([camera], false) => {
-                camera.status.send_modify(|status| status.calibration = Some(id.to_owned()));
-            }
-            _ => self.share_calibration(Some(id)),
+            ([camera], false) => camera.set_calibration(id, store),
+            _ => self.share_calibration(id, store),
         }
     }
 
-    /// Has a rig's cameras know its calibration; with `None`, that there is no such rig any more.
-    pub(super) fn share_calibration(&self, id: Option<&str>) {
-        self.cameras.iter().for_each(|camera| camera.set_rig_calibration(&self.name, id));
+    /// Has a rig's cameras know its calibration.
+    pub(super) fn share_calibration(&self, id: &str, store: &Store) {
+        self.cameras.iter().for_each(|camera| camera.set_rig_calibration(&self.name, id, store));
     }
 
     pub(super) fn publish(&self, kind: EventKind) {

@@ -4,13 +4,16 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use tokio::sync::{mpsc, watch};
 
+use crate::calibration::drift::Drift;
 use crate::calibration::guidance::Guidance;
+use crate::calibration::provenance::Provenance;
 use crate::calibration::scene::correspondence::SceneImage;
 use crate::geometry::pose::Pose;
 use crate::imaging::depth_encoding::DepthEncoding;
 use crate::pipeline::assembly::SharedFactory;
 use crate::pipeline::camera_status::{CameraState, CameraStatus};
 use crate::pipeline::captured::Captured;
+use crate::pipeline::current_calibration::CurrentCalibration;
 use crate::pipeline::event::{EventKind, EventLog};
 use crate::pipeline::frame_slot::FrameSlot;
 use crate::pipeline::live_frame::LiveFrame;
@@ -20,6 +23,7 @@ use crate::pipeline::preview::{Preview, PreviewState};
 use crate::pipeline::recorder::RecorderLink;
 use crate::pipeline::search::CurrentSearch;
 use crate::pipeline::stop_signal::StopSignal;
+use crate::store::Store;
 
 /// One camera, as its threads see it.
 #[derive(Debug)]
@@ -44,15 +48,18 @@ pub(super) struct LiveCamera {
     pub(super) guidance: Mutex<Guidance>,
     /// What the running session kept last of a scene.
     pub(super) key_frame: Mutex<Option<SceneImage>>,
+    /// Its own current calibration.
+    pub(super) calibrated: Mutex<Option<CurrentCalibration>>,
     /// The rigs that it is in with their current calibrations, the newest last.
     pub(super) rigs: Mutex<Vec<RigCalibration>>,
 }
 
 /// The current calibration of a rig.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug)]
 pub(super) struct RigCalibration {
     pub(super) rig: String,
     pub(super) id: String,
+    current: Option<CurrentCalibration>,
 }
 
 impl LiveCamera {
@@ -70,6 +77,60 @@ impl LiveCamera {
         self.metrics.set_state(&self.name, state);
         tracing::info!(camera = self.name, state = state.name(), reason, "camera");
         self.announce();
+    }
+
+    /// It gives frames. The reason is what has `moved` since a session held it, else why a current
+    /// calibration may not be of these images, which is also reported as drift.
+    pub(super) fn gives_frames(&self, moved: Option<&str>) {
+        let status = self.status.borrow();
+        let sizes = status.sensors.iter().map(|sensor| (sensor.kind, sensor.size));
+        let now = Provenance {
+            source: Some(self.image_source.clone()),
+            device: status.identity.device(),
+            image_sizes: sizes.collect(),
+        };
+        drop(status);
+        let mut own = self.calibrated.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut rigs = self.rigs.lock().unwrap_or_else(PoisonError::into_inner);
+        let of_rigs = rigs.iter_mut().filter_map(|rig| rig.current.as_mut());
+        let (mut reason, mut drifts) = (moved.map(str::to_owned), Vec::new());
+        for current in own.iter_mut().chain(of_rigs) {
+            let (change, drift) = current.change(&now);
+            reason = reason.or(change);
+            drifts.extend(drift.map(|drift| (current.instrument().to_owned(), drift)));
+        }
+        drop((own, rigs));
+        self.set_state(CameraState::Streaming, reason.as_deref());
+        drifts.into_iter().for_each(|(instrument, drift)| self.publish_drift(&instrument, drift));
+    }
+
+    /// Which device gives its frames now, in words; `None` where none does, or it does not say.
+    pub(super) fn streaming_device(&self) -> Option<String> {
+        let status = self.status.borrow();
+        status.identity.device().filter(|_| status.state == CameraState::Streaming)
+    }
+
+    /// Shows the calibration that holds from now on.
+    pub(super) fn set_calibration(&self, id: &str, store: &Store) {
+        let current = CurrentCalibration::read(store, id, &self.name, &self.name);
+        *self.calibrated.lock().unwrap_or_else(PoisonError::into_inner) = current;
+        self.status.send_modify(|status| status.calibration = Some(id.to_owned()));
+        self.compare_calibrations();
+    }
+
+    /// Says what differs, where another calibration is the current one now.
+    fn compare_calibrations(&self) {
+        let state = self.status.borrow().state;
+        if state == CameraState::Streaming {
+            self.gives_frames(None);
+        }
+    }
+
+    /// Says that the current calibration of `instrument` may not hold any more.
+    pub(super) fn publish_drift(&self, instrument: &str, drift: Drift) {
+        let Drift { calibration, reason, .. } = &drift;
+        tracing::warn!(camera = self.name, calibration, "{reason}");
+        self.events.publish(instrument, EventKind::Drift(drift));
     }
 
     /// Announces the status as it stands.
@@ -116,11 +177,23 @@ impl LiveCamera {
         self.guidance.lock().unwrap_or_else(PoisonError::into_inner).camera_from_board
     }
 
-    /// From now on, the rig's calibration is the one `id`; without one, it is in the rig no more.
-    pub(super) fn set_rig_calibration(&self, rig: &str, id: Option<&str>) {
+    /// From now on, the rig's calibration is the one `id`.
+    pub(super) fn set_rig_calibration(&self, rig: &str, id: &str, store: &Store) {
+        let current = CurrentCalibration::read(store, id, rig, &self.name);
+        let calibration = RigCalibration { rig: rig.to_owned(), id: id.to_owned(), current };
         let mut rigs = self.rigs.lock().unwrap_or_else(PoisonError::into_inner);
         rigs.retain(|known| known.rig != rig);
-        rigs.extend(id.map(|id| RigCalibration { rig: rig.to_owned(), id: id.to_owned() }));
+        rigs.push(calibration);
+        drop(rigs);
+        self.compare_calibrations();
+    }
+
+    /// It is in the rig no more.
+    pub(super) fn forget_rig(&self, rig: &str) {
+        let mut rigs = self.rigs.lock().unwrap_or_else(PoisonError::into_inner);
+        rigs.retain(|known| known.rig != rig);
+        drop(rigs);
+        self.compare_calibrations();
     }
 
     /// Counts `frames` lost for the reason `why`.

@@ -24,6 +24,7 @@ mod captured;
 mod clock;
 mod closing;
 mod collecting;
+mod current_calibration;
 mod detect_thread;
 mod drift;
 pub mod event;

@@ -222,7 +222,7 @@ impl SessionThread {
             current = false;
         }
         if current {
-            self.instrument.set_calibration(&calibration.id);
+            self.instrument.set_calibration(&calibration.id, &self.store);
         }
         if let Some(event) = CalibrationEvent::of(calibration, current) {
             self.instrument.publish(EventKind::Calibration(event));

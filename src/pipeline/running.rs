@@ -11,6 +11,7 @@ use crate::calibration::session_record::SessionRecord;
 use crate::capture::SourceOpener;
 use crate::pipeline::camera_status::CameraStatus;
 use crate::pipeline::capture_thread::{Capture, Supervision};
+use crate::pipeline::current_calibration::CurrentCalibration;
 use crate::pipeline::detect_thread::Detect;
 use crate::pipeline::event::EventLog;
 use crate::pipeline::fleet_error::FleetError;
@@ -132,6 +133,8 @@ pub(super) fn start_camera(
     let (messages, received) = mpsc::channel(QUEUE);
     let mut status = CameraStatus::starting(&name, &kind);
     status.calibration = shared.store.current_calibration_id(&name)?;
+    let current = status.calibration.as_ref();
+    let current = current.and_then(|id| CurrentCalibration::read(&shared.store, id, &name, &name));
     shared.metrics.introduce(&name);
     let camera = Arc::new(LiveCamera {
         status: watch::Sender::new(status),
@@ -147,6 +150,7 @@ pub(super) fn start_camera(
         preview: Preview::new(Arc::clone(&shared.maps)),
         guidance: Mutex::default(),
         key_frame: Mutex::default(),
+        calibrated: Mutex::new(current),
         rigs: Mutex::default(),
         image_source,
         name: name.clone(),
@@ -205,7 +209,10 @@ pub(super) fn start_rig(
         stop: StopSignal::default(),
         name,
     };
-    instrument.share_calibration(instrument.calibration.borrow().as_deref());
+    let current = instrument.calibration.borrow().clone();
+    if let Some(id) = current {
+        instrument.share_calibration(&id, &shared.store);
+    }
     start_instrument(instrument, received, unfinished, shared, options)
 }
 
@@ -284,7 +291,7 @@ pub(super) fn stop_cameras(cameras: Vec<RunningCamera>) {
 pub(super) fn stop_rigs(rigs: Vec<RunningInstrument>) {
     for RunningInstrument { instrument, .. } in &rigs {
         instrument.ask_to_stop();
-        instrument.share_calibration(None);
+        instrument.cameras.iter().for_each(|camera| camera.forget_rig(&instrument.name));
     }
     rigs.into_iter().for_each(RunningInstrument::wait_for_end);
 }

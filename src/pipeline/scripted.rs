@@ -49,6 +49,7 @@ pub(super) struct Scripted {
     pub(super) waits: bool,
     pub(super) moved: bool,
     pub(super) held: Option<Receiver<()>>,
+    pub(super) serial: Option<String>,
 }
 
 impl Drop for Scripted {
@@ -102,6 +103,7 @@ impl FrameSource for Scripted {
     fn description(&self) -> SourceDescription {
         SourceDescription {
             identity: "camera 7".to_owned(),
+            serial: self.serial.clone(),
             waits: self.waits,
             ..SourceDescription::default()
         }
@@ -112,26 +114,42 @@ impl FrameSource for Scripted {
     }
 }
 
+/// A device that is plugged in: its serial number, and what it does.
+pub(super) type PluggedIn = (Option<String>, Receiver<ScriptStep>);
+
 /// The test's end of a camera: what each opening gives.
 pub(super) struct Script {
-    pub(super) openings: Sender<Result<Receiver<ScriptStep>, CaptureError>>,
+    pub(super) openings: Sender<Result<PluggedIn, CaptureError>>,
 }
 
 impl Script {
     /// The next opening succeeds; the sender feeds it.
     pub(super) fn plug_in(&self) -> Sender<ScriptStep> {
+        self.plug_in_device(None)
+    }
+
+    /// The same, of a device with this serial number.
+    pub(super) fn plug_in_device(&self, serial: Option<&str>) -> Sender<ScriptStep> {
         let (feed, steps) = channel();
-        self.openings.send(Ok(steps)).unwrap();
+        self.openings.send(Ok((serial.map(str::to_owned), steps))).unwrap();
         feed
     }
 }
 
 pub(super) fn scripted(name: &str) -> (CameraPlan, Script) {
-    let (openings, next) = channel::<Result<Receiver<ScriptStep>, CaptureError>>();
+    let (openings, next) = channel::<Result<PluggedIn, CaptureError>>();
     let open = move || {
-        let steps = next.try_recv().unwrap_or_else(|_| Err(lost("not plugged in")))?;
-        Ok(Box::new(Scripted { steps, sequence: 0, waits: false, moved: false, held: None })
-            as Box<dyn FrameSource>)
+        let (serial, steps) = next.try_recv().unwrap_or_else(|_| Err(lost("not plugged in")))?;
+        Ok(
+            Box::new(Scripted {
+                steps,
+                sequence: 0,
+                waits: false,
+                moved: false,
+                held: None,
+                serial,
+            }) as Box<dyn FrameSource>,
+        )
     };
     let plan = CameraPlan {
         name: name.to_owned(),

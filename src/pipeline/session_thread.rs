@@ -113,9 +113,13 @@ impl SessionThread {
                 self.let_happen(|session| session.source_ended(&reason, utc_now_ns()));
             }
             Message::CameraLost { place, reason } => {
+                self.take_devices();
                 self.let_happen(|session| session.camera_lost(place, &reason));
             }
-            Message::CamerasBack => self.let_happen(Session::camera_back),
+            Message::CamerasBack => {
+                self.take_devices();
+                self.let_happen(Session::camera_back);
+            }
             Message::Moved(what) => self.report_moved(what),
             Message::Waited(seconds) => self.let_happen(|session| session.waited(seconds)),
             Message::Estimated { session, place, estimate } if self.is_current(&session) => {
@@ -203,7 +207,7 @@ impl SessionThread {
     }
 
     /// Lets something happen to the session, if there is one, and performs what it decides.
-    fn let_happen(&mut self, what: impl FnOnce(&mut Session) -> Vec<Action>) {
+    pub(super) fn let_happen(&mut self, what: impl FnOnce(&mut Session) -> Vec<Action>) {
         if let Some(session) = &mut self.session {
             let actions = what(session);
             if !actions.is_empty() {

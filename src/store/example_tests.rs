@@ -34,6 +34,7 @@ pub(super) fn record(id: &str) -> SessionRecord {
         camera: "front".into(),
         members: Vec::new(),
         sources: [("front".to_owned(), "v4l2 /dev/video0 1280x720".to_owned())].into(),
+        devices: [("front".to_owned(), "C920, serial 1A2B".to_owned())].into(),
         request: SessionRequest {
             target: chessboard(9, 6, 0.1 * third).unwrap().into(),
             lens: from_json::<LensRequest>(b"\"brown\"").unwrap().into(),

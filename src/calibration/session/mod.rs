@@ -263,6 +263,18 @@ impl Session {
         Vec::new()
     }
 
+    /// The device that a camera is gives frames; those of another one than before end the session,
+    /// whose views would mix. `now_ns` is UTC since the Unix epoch.
+    pub fn device_gives_frames(&mut self, camera: &str, device: &str, now_ns: i64) -> Vec<Action> {
+        if self.record.state != SessionState::Collecting {
+            return Vec::new();
+        }
+        match self.record.take_device(camera, device) {
+            Ok(()) => Vec::new(),
+            Err(reason) => self.record.give_up(&reason, now_ns),
+        }
+    }
+
     /// `seconds` went by without a frame.
     pub fn waited(&mut self, seconds: f64) -> Vec<Action> {
         if self.record.state != SessionState::Collecting {
