@@ -9,7 +9,7 @@ use crate::estimation::error::EstimationError;
 use crate::estimation::joint::BoardObservation;
 use crate::estimation::lens_pole::has_pole;
 use crate::estimation::lens_trial::Trial;
-use crate::estimation::model_averaging::between_models;
+use crate::estimation::model_averaging::{Candidate, between_models};
 use crate::estimation::problem::CameraOptions;
 use crate::estimation::start::Prepared;
 use crate::estimation::starts_from_other_lenses::{
@@ -62,7 +62,7 @@ pub(crate) fn choose_lens(
     let mut fits = sound_fits(prepared, options)?;
     let size = prepared.image_size;
     let full_of = |fit: &CameraFit| with_effects(fit.clone(), size, options);
-    let plain = Choice::among(&fits, size);
+    let plain = Choice::among(&fits, &fits, size);
     let may_have_effects = |fit: &usize| may_have_effects(&fits[*fit], size, options);
     if plain.trials.is_empty() || ![plain.chosen, plain.closest].iter().any(may_have_effects) {
         let chosen = fits.swap_remove(plain.chosen);
@@ -89,7 +89,7 @@ pub(crate) fn choose_lens(
             fits.retain(|_| is_sound.next() == Some(&true));
         }
     }
-    let Choice { chosen, between_models, trials, .. } = Choice::among(&common, size);
+    let Choice { chosen, between_models, trials, .. } = Choice::among(&common, &with, size);
     let compared = hopeless.into_iter().chain(trials).collect();
     let full = CameraFit { between_models, ..with.swap_remove(chosen) };
     Ok(ChosenLens { plain: fits.swap_remove(chosen), full, compared })
@@ -126,37 +126,42 @@ struct Choice {
 }
 
 impl Choice {
-    fn among(fits: &[CameraFit], size: ImageSize) -> Self {
+    /// Of models whose `fits` are compared, and which are `reported` so.
+    fn among(fits: &[CameraFit], reported: &[CameraFit], size: ImageSize) -> Self {
         let closest = closest_of(fits);
         let views = compared_views(&fits[closest]);
         let grid = PixelGrid::over(size, COLUMNS);
         let observations: Vec<Vec<BoardObservation>> =
             fits.iter().map(|fit| with_corners_of(fit, &fits[closest])).collect();
-        let trial = |k: usize| Some((k, Trial::of(&fits[k], &observations[k], &views, grid)?));
-        let mut trials: Vec<(usize, Trial<'_>)> = (0..fits.len()).filter_map(trial).collect();
-        trials.sort_by_key(|(_, trial)| trial.fit.lens().model().facts().auto_order);
+        let candidate = |k: usize| {
+            let trial = Trial::of(&fits[k], &observations[k], &views, grid)?;
+            Some((k, Candidate { trial, reported: &reported[k] }))
+        };
+        let mut tried: Vec<(usize, Candidate<'_>)> =
+            (0..fits.len()).filter_map(candidate).collect();
+        tried.sort_by_key(|(_, it)| it.trial.fit.lens().model().facts().auto_order);
+        let (indices, models): (Vec<usize>, Vec<Candidate<'_>>) = tried.into_iter().unzip();
         // Each is compared with the best so far: one that is beaten may be better than none.
         let mut best = 0;
-        for larger in 1..trials.len() {
-            if trials[larger].1.is_worth_more(&trials[best].1) {
+        for larger in 1..models.len() {
+            if models[larger].trial.is_worth_more(&models[best].trial) {
                 best = larger;
             }
         }
-        let chosen = trials.get(best).map_or(closest, |(k, _)| *k);
-        let in_order: Vec<&Trial<'_>> = trials.iter().map(|(_, trial)| trial).collect();
-        let between_models = (!in_order.is_empty()).then(|| between_models(&in_order, best));
-        let summary = |(k, trial): &(usize, Trial<'_>)| LensTrial {
+        let chosen = indices.get(best).map_or(closest, |k| *k);
+        let between_models = (!models.is_empty()).then(|| between_models(&models, best));
+        let summary = |(k, Candidate { trial, .. }): (&usize, &Candidate<'_>)| LensTrial {
             model: trial.fit.lens().model(),
             held_out_rms_px: trial.rms_px(&observations[*k]),
             parameters: trial.fit.layout.sensors[0].lens.free.len(),
         };
         // With one view there is none to hold out: its errors are those of the fit.
-        let trials = if views.len() < 2 { &[][..] } else { &trials[..] };
+        let shown = if views.len() < 2 { 0 } else { models.len() };
         Self {
             chosen,
             between_models: between_models.flatten(),
             closest,
-            trials: trials.iter().map(summary).collect(),
+            trials: indices.iter().zip(&models).take(shown).map(summary).collect(),
         }
     }
 }

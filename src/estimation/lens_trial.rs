@@ -47,7 +47,7 @@ pub(crate) struct Trial<'a> {
     /// The sum of squared pixel errors of each of `views`.
     squares: Vec<f64>,
     /// Of the lens parameters; `None` where they are not determined.
-    pub(crate) covariance: Option<DMatrix<f64>>,
+    covariance: Option<DMatrix<f64>>,
     pub(crate) grid: PixelGrid,
 }
 
@@ -77,14 +77,14 @@ impl<'a> Trial<'a> {
             && (nested || self.gain_over(smaller) > BETTER_BEYOND_CHANCE)
     }
 
-    /// The probability that it is nearer to the lens than `smaller` is: that held-out views, and
-    /// how far it moves projections, would say so with other views of the same kind, which change
-    /// either by one standard deviation. Of two models of which neither holds the other, held-out
-    /// views alone.
+    /// The probability that it is to be preferred to `smaller`: that held-out views, and how far it
+    /// moves projections, would say so with other views of the same kind, which change either by
+    /// one standard deviation. Of two models of which neither holds the other, held-out views
+    /// alone.
     pub(crate) fn probability_beside(&self, smaller: &Self) -> f64 {
         let gain = self.gain_over(smaller);
         if !self.fit.lens().model().holds(smaller.fit.lens().model()) {
-            return normal_probability(gain);
+            return normal_probability(gain - BETTER_BEYOND_CHANCE);
         }
         let moved = self.moves_projections_of(smaller.fit.lens()).unwrap_or(0.0);
         let [better, clearly] = [0.0, HELD_OUT].map(|limit| normal_probability(gain - limit));

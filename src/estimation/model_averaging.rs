@@ -6,10 +6,11 @@
 
 use nalgebra::{DMatrix, DVector, Point3};
 
+use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::joint::FreeLens;
 use crate::estimation::lens_trial::Trial;
 use crate::estimation::nearest_lens::{WeightedPoint, nearest_from};
-use crate::estimation::uncertainty::{Distance, projection_uncertainty};
+use crate::estimation::uncertainty::{Distance, PixelGrid, projection_uncertainty};
 use crate::geometry::lens::Lens;
 
 /// Upper bound of another model's odds: a likelier one was not chosen because it is uncertain
@@ -25,27 +26,34 @@ const LEAST_ODDS: f64 = 0.05;
 /// The parameters before a lens's coefficients: fx, fy, cx, cy, skew.
 const MATRIX: usize = 5;
 
-/// The covariance between the models of `trials` about the `chosen` one, in the order of
+/// A model as it was compared with the others, and its fit as it is reported where it is chosen:
+/// models are compared on one board, and each is reported on the board that it found itself.
+pub(crate) struct Candidate<'a> {
+    pub(crate) trial: Trial<'a>,
+    pub(crate) reported: &'a CameraFit,
+}
+
+/// The covariance between `models` about the `chosen` one, in the order of
 /// [`Lens::parameter_names`]; models of fewer parameters come before it, those of more after it.
 /// `None` where projections of one of them are not determined.
-pub(crate) fn between_models(trials: &[&Trial<'_>], chosen: usize) -> Option<DMatrix<f64>> {
-    let own = trials[chosen];
-    let odds = |(k, other): (usize, &&Trial<'_>)| {
+pub(crate) fn between_models(models: &[Candidate<'_>], chosen: usize) -> Option<DMatrix<f64>> {
+    let own = &models[chosen];
+    let odds = |(k, other): (usize, &Candidate<'_>)| {
         let probability = match k.cmp(&chosen) {
-            std::cmp::Ordering::Less => 1.0 - own.probability_beside(other),
+            std::cmp::Ordering::Less => 1.0 - own.trial.probability_beside(&other.trial),
             std::cmp::Ordering::Equal => 0.5,
-            std::cmp::Ordering::Greater => other.probability_beside(own),
+            std::cmp::Ordering::Greater => other.trial.probability_beside(&own.trial),
         };
         let odds = (probability / (1.0 - probability).max(f64::MIN_POSITIVE)).min(EVEN);
         if odds < LEAST_ODDS { 0.0 } else { odds }
     };
-    let odds: Vec<f64> = trials.iter().enumerate().map(odds).collect();
+    let odds: Vec<f64> = models.iter().enumerate().map(odds).collect();
     let sum: f64 = odds.iter().sum();
-    let count = own.fit.lens().parameters().len();
+    let count = own.reported.lens().parameters().len();
     let mut covariance = DMatrix::zeros(count, count);
-    for (other, odds) in trials.iter().zip(&odds) {
-        if *odds > 0.0 && other.fit.lens().model() != own.fit.lens().model() {
-            let difference = difference(own, other)?;
+    for ((k, other), odds) in models.iter().enumerate().zip(&odds) {
+        if *odds > 0.0 && k != chosen {
+            let difference = difference(own.reported, other.reported, own.trial.grid)?;
             covariance += &difference * difference.transpose() * (odds / sum);
         }
     }
@@ -55,15 +63,14 @@ pub(crate) fn between_models(trials: &[&Trial<'_>], chosen: usize) -> Option<DMa
 /// How the parameters of one lens would have to change for it to see as that of another model does:
 /// focal lengths and center are those of the other, and coefficients follow. Pixels count by how
 /// well both lenses are known there.
-fn difference(own: &Trial<'_>, other: &Trial<'_>) -> Option<DVector<f64>> {
-    let [lens, target] = [own, other].map(|trial| trial.fit.lens());
-    let variances = |trial: &Trial<'_>| {
-        let (lens, covariance) = (trial.fit.lens(), trial.covariance.as_ref()?);
-        Some(projection_uncertainty(lens, covariance, trial.grid, Distance::Infinity)?.square_px2)
+fn difference(own: &CameraFit, other: &CameraFit, grid: PixelGrid) -> Option<DVector<f64>> {
+    let [lens, target] = [own, other].map(CameraFit::lens);
+    let variances = |fit: &CameraFit| {
+        let covariance = fit.lens_covariance()?;
+        Some(projection_uncertainty(fit.lens(), &covariance, grid, Distance::Infinity)?.square_px2)
     };
     let variances = variances(own)?.into_iter().zip(variances(other)?);
-    let seen: Vec<WeightedPoint> = own
-        .grid
+    let seen: Vec<WeightedPoint> = grid
         .pixels()
         .zip(variances)
         .filter_map(|(pixel, (own, other))| {
@@ -72,7 +79,7 @@ fn difference(own: &Trial<'_>, other: &Trial<'_>) -> Option<DVector<f64>> {
             Some(WeightedPoint { in_camera, weight: 1.0 / (own? + other?) })
         })
         .collect();
-    let free_lens = &own.fit.layout.sensors[0].lens;
+    let free_lens = &own.layout.sensors[0].lens;
     let coefficients = FreeLens {
         model: free_lens.model,
         free: free_lens.free.iter().copied().filter(|index| *index >= MATRIX).collect(),
