@@ -12,6 +12,7 @@ use crate::estimation::lens_score::could_fit_better;
 use crate::estimation::lens_trial::{Trial, may_be_worth_more};
 use crate::estimation::problem::{CameraOptions, CameraProblem};
 use crate::estimation::start::Prepared;
+use crate::estimation::starts_from_other_lenses::closest_of;
 use crate::estimation::uncertainty::{
     Distance, PixelGrid, projection_difference, projection_uncertainty,
 };
@@ -62,7 +63,7 @@ impl LensMisfit {
             LensModel::compared().filter(is_larger).filter_map(&mut fitted).collect();
         larger.retain(|fit| !has_pole(fit.lens(), problem.image_size));
         // As an automatic choice does, with the outliers of the model that fits most closely.
-        let closest = larger.iter().min_by(|a, b| a.robust.limit.total_cmp(&b.robust.limit))?;
+        let closest = larger.get(closest_of(&larger))?;
         let observations = &closest.observations;
         let mut views = compared_views(closest);
         // A model that does not fit may have lost views to it.

@@ -40,10 +40,27 @@ pub(crate) fn start_from_each_other(
     }
 }
 
-/// The one of some fits of the same views that fits most closely, by index.
+/// The one of some fits of the same views that fits most closely, by index: that of the least
+/// squares, truncated for all of them at the smallest limit of an inlier that one of them has (the
+/// cost MSAC of P. H. S. Torr, A. Zisserman, *MLESAC*, 2000). By the scale of its inliers alone a
+/// lens that is too simple seems to fit most closely once it has given up the views that show it.
 pub(crate) fn closest_of(fits: &[CameraFit]) -> usize {
-    let limit = |fit: &usize| fits[*fit].robust.limit;
-    (0..fits.len()).min_by(|a, b| limit(a).total_cmp(&limit(b))).unwrap_or_default()
+    let limit = fits.iter().map(|fit| fit.robust.limit).fold(f64::INFINITY, f64::min);
+    let costs: Vec<f64> = fits.iter().map(|fit| truncated_squares(fit, limit * limit)).collect();
+    (0..fits.len()).min_by(|a, b| costs[*a].total_cmp(&costs[*b])).unwrap_or_default()
+}
+
+/// The sum of the squared residuals of all corners, each `most` at most; those that the fit does
+/// not use count as outliers.
+fn truncated_squares(fit: &CameraFit, most: f64) -> f64 {
+    let views = fit.observations.iter().zip(&fit.robust.minimum.equations.residuals);
+    let of_view = |(observation, residuals): (&BoardObservation, &Vec<[f64; 2]>)| -> f64 {
+        let used = observation.used.iter().zip(residuals).filter(|(used, _)| **used);
+        let squares = used.map(|(_, [x, y])| (x * x + y * y).min(most));
+        let outliers = observation.used.iter().filter(|used| !**used).count();
+        squares.sum::<f64>() + outliers as f64 * most
+    };
+    views.map(of_view).sum()
 }
 
 /// The observations of a fit, with the corners that another one of the same views uses.
