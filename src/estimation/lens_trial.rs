@@ -77,19 +77,20 @@ impl<'a> Trial<'a> {
             && (nested || self.gain_over(smaller) > BETTER_BEYOND_CHANCE)
     }
 
-    /// The probability that it is to be preferred to `smaller`: that held-out views, and how far it
-    /// moves projections, would say so with other views of the same kind, which change either by
-    /// one standard deviation. Of two models of which neither holds the other, held-out views
-    /// alone.
-    pub(crate) fn probability_beside(&self, smaller: &Self) -> f64 {
+    /// How likely it is, at least and at most, that it is to be preferred to `smaller`: that
+    /// held-out views, and how far it moves projections, would say so with other views of the same
+    /// kind, which change either by one standard deviation. Of two models of which neither holds
+    /// the other, held-out views alone: at least that it would be chosen, at most that it is nearer
+    /// to the lens.
+    pub(crate) fn probabilities_beside(&self, smaller: &Self) -> [f64; 2] {
         let gain = self.gain_over(smaller);
         if !self.fit.lens().model().holds(smaller.fit.lens().model()) {
-            return normal_probability(gain - BETTER_BEYOND_CHANCE);
+            return [BETTER_BEYOND_CHANCE, 0.0].map(|limit| normal_probability(gain - limit));
         }
         let moved = self.moves_projections_of(smaller.fit.lens()).unwrap_or(0.0);
         let [better, clearly] = [0.0, HELD_OUT].map(|limit| normal_probability(gain - limit));
         let [far, farther] = [MOVED, MOVED_FAR].map(|limit| normal_probability(moved - limit));
-        clearly * far + (better - clearly) * farther
+        [clearly * far + (better - clearly) * farther; 2]
     }
 
     /// Whether it is likely to be nearer to the lens than `smaller` is.

@@ -38,11 +38,13 @@ pub(crate) struct Candidate<'a> {
 /// `None` where projections of one of them are not determined.
 pub(crate) fn between_models(models: &[Candidate<'_>], chosen: usize) -> Option<DMatrix<f64>> {
     let own = &models[chosen];
+    // As likely as it may be: nearer to the lens, for the error that is stated to be true; chosen
+    // with other views, for what single views change to be within it.
     let odds = |(k, other): (usize, &Candidate<'_>)| {
         let probability = match k.cmp(&chosen) {
-            std::cmp::Ordering::Less => 1.0 - own.trial.probability_beside(&other.trial),
+            std::cmp::Ordering::Less => 1.0 - own.trial.probabilities_beside(&other.trial)[0],
             std::cmp::Ordering::Equal => 0.5,
-            std::cmp::Ordering::Greater => other.trial.probability_beside(&own.trial),
+            std::cmp::Ordering::Greater => other.trial.probabilities_beside(&own.trial)[1],
         };
         let odds = (probability / (1.0 - probability).max(f64::MIN_POSITIVE)).min(EVEN);
         if odds < LEAST_ODDS { 0.0 } else { odds }
