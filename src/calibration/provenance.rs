@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::calibration::result::{CalibratedSensor, Calibration, SensorResult};
-use crate::calibration::session_record::SessionRecord;
+use crate::calibration::session_record::{SessionRecord, is_another_device};
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::SensorKind;
 
@@ -39,7 +39,7 @@ impl Provenance {
     /// `now`, and what to do; `None` where nothing is known to differ.
     pub fn change(&self, now: &Self, calibration: &str) -> Option<String> {
         let both = self.device.as_ref().zip(now.device.as_ref());
-        if let Some((was, is)) = both.filter(|(was, is)| was != is) {
+        if let Some((was, is)) = both.filter(|(was, is)| is_another_device(was, is)) {
             return Some(format!(
                 "the device is {is} now, {calibration} is of {was}: calibrate again, or approve one of this device"
             ));
@@ -80,7 +80,10 @@ mod tests {
         assert_eq!(was.change(&was, "it"), None);
         assert_eq!(was.change(&Provenance::default(), "it"), None);
         assert_eq!(Provenance::default().change(&was, "it"), None);
-        assert_eq!(was.change(&provenance("v4l2 /dev/video0", None, 640), "it"), None);
+        for device in [None, Some("C920")] {
+            let now = provenance("v4l2 /dev/video0", device, 640);
+            assert_eq!([was.change(&now, "it"), now.change(&was, "it")], [None, None]);
+        }
         for (now, said) in [
             (
                 provenance("v4l2 /dev/video0", Some("C920, serial B"), 640),

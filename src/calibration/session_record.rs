@@ -249,7 +249,7 @@ impl SessionRecord {
     /// # Errors
     /// Why it cannot go on with images of `source`, in words: those before came from another one.
     pub fn take_source(&mut self, camera: &str, source: &str) -> Result<(), String> {
-        take("source", &mut self.sources, camera, source)
+        take("source", &mut self.sources, camera, source, |was, is| was != is)
     }
 
     /// Takes which device a camera is now, where it is not known yet.
@@ -257,7 +257,7 @@ impl SessionRecord {
     /// # Errors
     /// As [`Self::take_source`].
     pub(super) fn take_device(&mut self, camera: &str, device: &str) -> Result<(), String> {
-        take("device", &mut self.devices, camera, device)
+        take("device", &mut self.devices, camera, device, is_another_device)
     }
 
     /// What it says of the camera, of an instrument that is one.
@@ -295,12 +295,41 @@ fn take(
     known: &mut BTreeMap<String, String>,
     camera: &str,
     from: &str,
+    is_other: impl Fn(&str, &str) -> bool,
 ) -> Result<(), String> {
     let known = known.entry(camera.to_owned()).or_insert_with(|| from.to_owned());
-    if *known == from {
+    if !is_other(known, from) {
         return Ok(());
     }
     Err(format!(
         "the {what} of camera `{camera}` is {from} now, was {known}: the views of both would mix; what was gathered stays, start a new session"
     ))
+}
+
+/// Whether two devices, each in words (its model, then its serial number as far as it says them),
+/// are not the same. One that does not say its serial number this time may be.
+pub(super) fn is_another_device(was: &str, is: &str) -> bool {
+    let only_says_more = |more: &str, less: &str| {
+        more.strip_prefix(less).is_some_and(|rest| rest.is_empty() || rest.starts_with(", serial "))
+    };
+    !only_says_more(was, is) && !only_says_more(is, was)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::is_another_device;
+
+    #[test]
+    fn a_device_that_does_not_say_its_serial_number_may_be_the_same() {
+        for (was, is, is_another) in [
+            ("C920, serial A", "C920, serial A", false),
+            ("C920, serial A", "C920", false),
+            ("C920", "C920, serial A", false),
+            ("C920, serial A", "C920, serial AB", true),
+            ("C920, serial A", "C922, serial A", true),
+            ("C920", "C920 Pro", true),
+        ] {
+            assert_eq!(is_another_device(was, is), is_another, "{was} and {is}");
+        }
+    }
 }

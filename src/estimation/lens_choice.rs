@@ -9,7 +9,7 @@ use crate::estimation::error::EstimationError;
 use crate::estimation::joint::BoardObservation;
 use crate::estimation::lens_pole::has_pole;
 use crate::estimation::lens_trial::Trial;
-use crate::estimation::model_averaging::{Candidate, between_models};
+use crate::estimation::model_averaging::{ComparedModel, between_models};
 use crate::estimation::problem::CameraOptions;
 use crate::estimation::start::Prepared;
 use crate::estimation::starts_from_other_lenses::{
@@ -133,14 +133,14 @@ impl Choice {
         let grid = PixelGrid::over(size, COLUMNS);
         let observations: Vec<Vec<BoardObservation>> =
             fits.iter().map(|fit| with_corners_of(fit, &fits[closest])).collect();
-        let candidate = |k: usize| {
+        let compared = |k: usize| {
             let trial = Trial::of(&fits[k], &observations[k], &views, grid)?;
-            Some((k, Candidate { trial, reported: &reported[k] }))
+            Some((k, ComparedModel { trial, reported: &reported[k] }))
         };
-        let mut tried: Vec<(usize, Candidate<'_>)> =
-            (0..fits.len()).filter_map(candidate).collect();
+        let mut tried: Vec<(usize, ComparedModel<'_>)> =
+            (0..fits.len()).filter_map(compared).collect();
         tried.sort_by_key(|(_, it)| it.trial.fit.lens().model().facts().auto_order);
-        let (indices, models): (Vec<usize>, Vec<Candidate<'_>>) = tried.into_iter().unzip();
+        let (indices, models): (Vec<usize>, Vec<ComparedModel<'_>>) = tried.into_iter().unzip();
         // Each is compared with the best so far: one that is beaten may be better than none.
         let mut best = 0;
         for larger in 1..models.len() {
@@ -150,7 +150,7 @@ impl Choice {
         }
         let chosen = indices.get(best).map_or(closest, |k| *k);
         let between_models = (!models.is_empty()).then(|| between_models(&models, best));
-        let summary = |(k, Candidate { trial, .. }): (&usize, &Candidate<'_>)| LensTrial {
+        let summary = |(k, ComparedModel { trial, .. }): (&usize, &ComparedModel<'_>)| LensTrial {
             model: trial.fit.lens().model(),
             held_out_rms_px: trial.rms_px(&observations[*k]),
             parameters: trial.fit.layout.sensors[0].lens.free.len(),

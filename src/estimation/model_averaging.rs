@@ -28,7 +28,7 @@ const MATRIX: usize = 5;
 
 /// A model as it was compared with the others, and its fit as it is reported where it is chosen:
 /// models are compared on one board, and each is reported on the board that it found itself.
-pub(crate) struct Candidate<'a> {
+pub(crate) struct ComparedModel<'a> {
     pub(crate) trial: Trial<'a>,
     pub(crate) reported: &'a CameraFit,
 }
@@ -36,11 +36,11 @@ pub(crate) struct Candidate<'a> {
 /// The covariance between `models` about the `chosen` one, in the order of
 /// [`Lens::parameter_names`]; models of fewer parameters come before it, those of more after it.
 /// `None` where projections of one of them are not determined.
-pub(crate) fn between_models(models: &[Candidate<'_>], chosen: usize) -> Option<DMatrix<f64>> {
+pub(crate) fn between_models(models: &[ComparedModel<'_>], chosen: usize) -> Option<DMatrix<f64>> {
     let own = &models[chosen];
     // As likely as it may be: nearer to the lens, for the error that is stated to be true; chosen
     // with other views, for what single views change to be within it.
-    let odds = |(k, other): (usize, &Candidate<'_>)| {
+    let odds = |(k, other): (usize, &ComparedModel<'_>)| {
         let probability = match k.cmp(&chosen) {
             std::cmp::Ordering::Less => 1.0 - own.trial.probabilities_beside(&other.trial)[0],
             std::cmp::Ordering::Equal => 0.5,
