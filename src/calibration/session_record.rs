@@ -61,8 +61,8 @@ pub enum SessionState {
     Finished,
     /// Has none, and says why; its views stay.
     Failed,
-    /// Was given up, by request or because a camera's source or device is another one now; its views
-    /// stay.
+    /// Was given up, by request or because a camera's source or device is another one now; its
+    /// views stay.
     Aborted,
 }
 

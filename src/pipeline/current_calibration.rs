@@ -22,7 +22,8 @@ pub(super) struct CurrentCalibration {
 }
 
 impl CurrentCalibration {
-    /// That of `camera`, or of the rig `instrument`, with this `id`; `None` where it cannot be read.
+    /// That of `camera`, or of the rig `instrument`, with this `id`; `None` where it cannot be
+    /// read.
     pub(super) fn read(store: &Store, id: &str, instrument: &str, camera: &str) -> Option<Self> {
         let read = || -> Result<Option<Self>, StoreError> {
             let Some(calibration) = store.calibration(id)? else { return Ok(None) };

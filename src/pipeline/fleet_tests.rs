@@ -269,8 +269,8 @@ async fn a_session_pauses_while_it_cannot_be_stored_and_goes_on_by_itself() {
     assert_eq!(numbers, (0..kept as u32).collect::<Vec<_>>(), "none is lost, none twice");
 }
 
-/// A calibration of `front`, or of a rig that it is in, that is current; of images of this width, of
-/// a device with the serial number A.
+/// A calibration of `front`, or of a rig that it is in, that is current; of images of this width,
+/// of a device with the serial number A.
 fn calibrated(folder: &tempfile::TempDir, instrument: &str, width: u32) {
     let mut id = SensorId::own(SensorKind::Color);
     if instrument != "front" {

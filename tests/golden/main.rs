@@ -6,6 +6,7 @@
 mod allocations;
 mod bad_views;
 mod board_border;
+mod coded_motion;
 mod coded_targets;
 mod coded_tracking;
 mod corner_accuracy;

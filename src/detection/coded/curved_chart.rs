@@ -4,6 +4,8 @@
 //! A homography alone leaves 0.1 px and more of the lines beside a crossing where a lens distorts
 //! by a few percent: too much where blur makes of each line what moves the next one.
 
+use std::collections::HashSet;
+
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 
 use crate::detection::coded::chart::{Chart, ChartPair};
@@ -35,29 +37,20 @@ pub(super) struct CurvedChart {
 }
 
 impl CurvedChart {
-    /// Fitted to the crossings of `grid` around the one at (i, j), with weights that fall as a
-    /// Gaussian with their distance.
+    /// Fitted to the crossings of `grid` around the one at (i, j) that are `known`, or to all where
+    /// those do not determine it, with weights that fall as a Gaussian with their distance.
     pub(super) fn near(
         grid: &Grid,
         sheets: &Sheets,
-        i: i32,
-        j: i32,
+        (i, j): (i32, i32),
+        known: &HashSet<(i32, i32)>,
         pairs: &mut Vec<ChartPair>,
     ) -> Option<Self> {
         let at = |p: Vec2| [f64::from(p.x), f64::from(p.y)];
         let origin = grid.pixel(i, j).map(at)?;
-        let [x, y] = [sheets.line(i), sheets.line(j)];
-        // The mean interval between lines.
-        let spread = (sheets.widths[0] + sheets.widths[1]) / 2.0;
-        pairs.clear();
-        for dj in -REACH..=REACH {
-            for di in -REACH..=REACH {
-                let Some(pixel) = grid.pixel(i + di, j + dj) else { continue };
-                let place = [sheets.line(i + di), sheets.line(j + dj)];
-                let away = [place[0] - x, place[1] - y].map(|v| f64::from(v / spread));
-                let weight = (-0.5 * (away[0] * away[0] + away[1] * away[1])).exp();
-                pairs.push(ChartPair { place: place.map(f64::from), pixel: at(pixel), weight });
-            }
+        gather(grid, sheets, (i, j), pairs, |at| known.contains(&at));
+        if pairs.len() < ENOUGH_PAIRS {
+            gather(grid, sheets, (i, j), pairs, |_| true);
         }
         let lattice_from_image = Chart::fit(pairs)?.matrix().try_inverse()?;
         let away = pairs.iter().map(|pair| {
@@ -124,5 +117,31 @@ impl CurvedChart {
             right += pair.weight * terms * left.transpose();
         }
         Some(normal.cholesky()?.solve(&right))
+    }
+}
+/// The crossings of `grid` around the one at (i, j) that are `wanted`.
+fn gather(
+    grid: &Grid,
+    sheets: &Sheets,
+    (i, j): (i32, i32),
+    pairs: &mut Vec<ChartPair>,
+    wanted: impl Fn((i32, i32)) -> bool,
+) {
+    let at = |p: Vec2| [f64::from(p.x), f64::from(p.y)];
+    let [x, y] = [sheets.line(i), sheets.line(j)];
+    // The mean interval between lines.
+    let spread = (sheets.widths[0] + sheets.widths[1]) / 2.0;
+    pairs.clear();
+    for dj in -REACH..=REACH {
+        for di in -REACH..=REACH {
+            let here = (i + di, j + dj);
+            let Some(pixel) = grid.pixel(here.0, here.1).filter(|_| wanted(here)) else {
+                continue;
+            };
+            let place = [sheets.line(i + di), sheets.line(j + dj)];
+            let away = [place[0] - x, place[1] - y].map(|v| f64::from(v / spread));
+            let weight = (-0.5 * (away[0] * away[0] + away[1] * away[1])).exp();
+            pairs.push(ChartPair { place: place.map(f64::from), pixel: at(pixel), weight });
+        }
     }
 }

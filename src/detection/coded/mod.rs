@@ -44,6 +44,7 @@ mod open_square;
 mod order;
 mod other_scales;
 mod print;
+mod print_integral;
 mod reading;
 pub mod recognition;
 mod sheet;

@@ -1,8 +1,11 @@
 //! The print of a labeled board, as the refinement of its corners wants it.
 
+use std::collections::HashSet;
+
 use crate::detection::coded::chart::ChartPair;
 use crate::detection::coded::curved_chart::CurvedChart;
-use crate::detection::coded::labels::{BoardLabel, cell_in_sheet};
+use crate::detection::coded::labels::{BoardLabel, cell_in_grid, cell_in_sheet};
+use crate::detection::coded::print_integral::PrintIntegral;
 use crate::detection::coded::sheet::{Sheet, Sheets};
 use crate::detection::grid::{Grid, Node};
 use crate::detection::measure::cross::Vec2;
@@ -25,6 +28,8 @@ pub(super) struct LabeledPrint<'a> {
     grid: &'a mut Grid,
     /// Where edges may lie in an interval between two lines, as parts of it, in order.
     edges: Vec<f64>,
+    /// Made when the print is put for the first time: most boards need none.
+    integral: Option<PrintIntegral>,
     pairs: Vec<ChartPair>,
     /// The grid's indices of the corners in the order in which they are refined.
     corners: Vec<(i32, i32)>,
@@ -42,7 +47,17 @@ impl<'a> LabeledPrint<'a> {
     ) -> Self {
         let sheet = &sheets.ways[label.way];
         let edges = edges_of(sheets, sheet);
-        Self { sheets, sheet, label, grid, edges, pairs: Vec::new(), corners, charts: Vec::new() }
+        Self {
+            sheets,
+            sheet,
+            label,
+            grid,
+            edges,
+            integral: None,
+            pairs: Vec::new(),
+            corners,
+            charts: Vec::new(),
+        }
     }
 
     /// Whether the print is bright at a place of the lattice.
@@ -74,13 +89,23 @@ impl<'a> LabeledPrint<'a> {
         }
     }
 
-    /// The next place after `x` where an edge may lie.
-    fn next_edge(&self, x: f64) -> f64 {
-        let (i, part) = self.cell(x);
-        let width = f64::from(self.sheets.widths[usize::from(i.rem_euclid(2) == 1)]);
-        let ahead = self.edges.iter().find(|edge| **edge > part + NO_WIDTH);
-        // Beyond the last edge of an interval lies the first of the next one.
-        x + (ahead.unwrap_or(&(1.0 + NO_WIDTH)) - part).max(NO_WIDTH) * width
+    /// The print's means.
+    fn integral(&self) -> PrintIntegral {
+        let [cols, rows] = self.sheet.lines;
+        let ends = [(-1, -1), (cols - 1, rows - 1)]
+            .map(|(col, row)| cell_in_grid(self.label.placement, col, row));
+        let nodes = |[first, last]: [i32; 2]| -> Vec<f64> {
+            let intervals = first.min(last)..=first.max(last);
+            let start = f64::from(self.sheets.line(first.min(last)));
+            let within = intervals.flat_map(|index| {
+                let [from, to] = [index, index + 1].map(|line| f64::from(self.sheets.line(line)));
+                self.edges.iter().map(move |part| from + part * (to - from))
+            });
+            std::iter::once(start).chain(within).collect()
+        };
+        let lines = [nodes(ends.map(|(i, _)| i)), nodes(ends.map(|(_, j)| j))];
+        let paper = if self.label.inverted { -1.0 } else { 1.0 };
+        PrintIntegral::new(lines, paper, |x, y| self.is_bright(x, y))
     }
 
     /// The interval between lines in which a place lies, and how far along it, 0 to 1.
@@ -94,6 +119,12 @@ impl<'a> LabeledPrint<'a> {
     }
 }
 
+/// Whether a rectangle lies near the horizon of its chart.
+fn is_far([x, y]: [f64; 2], [half_x, half_y]: [f64; 2]) -> bool {
+    let is_near = |at: f64, half: f64| at.abs() < FAR && half < WIDE;
+    !(is_near(x, half_x) && is_near(y, half_y))
+}
+
 /// Where edges may lie in an interval between two lines, as parts of it, in order.
 fn edges_of(sheets: &Sheets, sheet: &Sheet) -> Vec<f64> {
     let (inset, margin) = (f64::from(sheet.inset), f64::from(sheets.margin));
@@ -102,53 +133,49 @@ fn edges_of(sheets: &Sheets, sheet: &Sheet) -> Vec<f64> {
     let mut edges: Vec<f64> = bits.chain([margin, 1.0 - margin, 1.0]).collect();
     edges.retain(|part| *part > 0.0);
     edges.sort_unstable_by(f64::total_cmp);
+    edges.dedup_by(|next, edge| *next - *edge < NO_WIDTH);
     edges
 }
 
 impl BoardPrint for LabeledPrint<'_> {
     fn put(&mut self, corners: &[Option<Pixel>]) {
+        if self.integral.is_none() {
+            self.integral = Some(self.integral());
+        }
         for (&(i, j), corner) in self.corners.iter().zip(corners) {
             if let (Some(node), Some(corner)) = (self.grid.get(i, j), corner) {
                 let pixel = Vec2::new(corner.x as f32, corner.y as f32);
                 self.grid.set(i, j, Node { pixel, ..node });
             }
         }
-        let Self { sheets, grid, pairs, corners, charts, .. } = self;
+        let Self { sheets, grid, pairs, corners: all, charts, .. } = self;
+        let known = all.iter().zip(corners).filter(|(_, corner)| corner.is_some());
+        let known: HashSet<(i32, i32)> = known.map(|(&at, _)| at).collect();
         charts.clear();
-        charts.extend(corners.iter().map(|&(i, j)| CurvedChart::near(grid, sheets, i, j, pairs)));
+        charts.extend(all.iter().map(|&at| CurvedChart::near(grid, sheets, at, &known, pairs)));
     }
 
     fn place_of(&self, corner: usize, pixel: [f64; 2]) -> Option<[f64; 2]> {
         Some(self.charts.get(corner)?.as_ref()?.place(pixel))
     }
 
-    fn mean(&self, corner: usize, [x, y]: [f64; 2], [half_x, half_y]: [f64; 2]) -> [f32; 2] {
-        let is_far = |at: f64, half: f64| !(at.abs() < FAR && half < WIDE);
-        if is_far(x, half_x) || is_far(y, half_y) {
-            return [0.0; 2];
+    fn mean(&self, place: [f64; 2], half: [f64; 2]) -> f32 {
+        if is_far(place, half) {
+            return 0.0;
         }
-        let sign = |bright: bool| if bright { 1.0 } else { -1.0 };
-        let mut sum = 0.0;
-        let mut top = y - half_y;
-        while top < y + half_y {
-            let bottom = self.next_edge(top).min(y + half_y);
-            let mut left = x - half_x;
-            while left < x + half_x {
-                let right = self.next_edge(left).min(x + half_x);
-                let bright = self.is_bright((left + right) / 2.0, (top + bottom) / 2.0);
-                sum += sign(bright) * (right - left) * (bottom - top);
-                left = right;
-            }
-            top = bottom;
+        self.integral.as_ref().map_or(0.0, |integral| integral.mean(place, half)) as f32
+    }
+
+    fn mean_of_edges(&self, corner: usize, [x, y]: [f64; 2], half: [f64; 2]) -> f32 {
+        if is_far([x, y], half) {
+            return 0.0;
         }
-        let full = sum / (4.0 * half_x * half_y);
         let (i, j) = self.corners[corner];
         let beyond = |at: f64, line: i32, half: f64| {
             ((at - f64::from(self.sheets.line(line))) / half).clamp(-1.0, 1.0)
         };
-        let own = sign(self.grid.polarity(i, j) > 0.0);
-        let alone = own * beyond(x, i, half_x) * beyond(y, j, half_y);
-        [full as f32, alone as f32]
+        let own = if self.grid.polarity(i, j) > 0.0 { 1.0 } else { -1.0 };
+        (own * beyond(x, i, half[0]) * beyond(y, j, half[1])) as f32
     }
 
     fn expected(&self, corner: usize) -> Option<[f64; 2]> {

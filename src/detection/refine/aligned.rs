@@ -7,7 +7,8 @@ use crate::detection::refine::corner_model::length;
 use crate::detection::refine::grid_corner::GridCorner;
 use crate::detection::refine::lattice::{Known, axes_of};
 use crate::detection::refine::misfit::Quality;
-use crate::detection::refine::print::{BoardPrint, PrintBlur, PrintPatch};
+use crate::detection::refine::print::{BoardPrint, PrintPatch};
+use crate::detection::refine::print_blur::{PrintBlur, PrintRendering};
 use crate::detection::refine::refined_corner::RefinedCorner;
 use crate::detection::refine::refiner::Refiner;
 use crate::detection::refine::window::Window;
@@ -20,8 +21,6 @@ const BLUR_ROUNDS: usize = 2;
 /// Corners rest where the mean square of their moves is below this part of their variance: a tenth
 /// of a standard deviation adds half a percent to it.
 const RESTS: f64 = 0.01;
-/// Mean square, in units of the noise, of what cannot be aligned: above that of any print that can.
-const NO_PRINT: f64 = 1e6;
 
 /// An alignment in its window.
 #[derive(Debug, Clone, Copy)]
@@ -32,29 +31,43 @@ pub(super) struct Aligned {
 }
 
 impl Refiner {
-    /// Replaces `refined` by where the print is most like the image, from where corners are known
-    /// by now, if that is more certain for more than half of `corners`. Whether it is.
+    /// Replaces those of `refined` by where the print is most like the image, from where corners
+    /// are known by now, that are less certain; all of them if that are more than half of
+    /// `corners`: edges that blur runs into each other are mistaken for others, and state a
+    /// deviation as if they were not. Whether it is all of them.
     pub(super) fn align_print(
         &mut self,
         image: GrayView<'_>,
         corners: &[GridCorner],
         print: &mut dyn BoardPrint,
-        (mut blur, power): (PrintBlur, f64),
+        mut rendering: PrintRendering,
         refined: &mut Vec<Option<RefinedCorner>>,
     ) -> bool {
         let mut aligned: Vec<Option<Aligned>> = Vec::with_capacity(corners.len());
+        let mut is_searched = false;
         for round in 0..self.thresholds.aligned_rounds {
             self.place(print);
             aligned.clear();
             for (slot, corner) in corners.iter().enumerate() {
-                let nearby = Nearby { print: &*print, blur, power };
+                let nearby = Nearby { print: &*print, rendering };
                 let found = self.align_corner(image, slot, corner, nearby);
                 aligned.push(found.filter(|it| it.is_corner(corner, &self.thresholds)));
+            }
+            let is_mistaken = 2 * aligned.iter().flatten().count() < corners.len();
+            if is_mistaken && !is_searched {
+                is_searched = true;
+                let nearby = Nearby { print: &*print, rendering };
+                rendering = self.rendering_of_any_width(image, corners, nearby);
+                continue;
             }
             self.know_aligned(&aligned);
             self.lattice.fill(corners, &self.known);
             if round < BLUR_ROUNDS {
-                blur = self.aligned_blur(image, corners, Nearby { print: &*print, blur, power });
+                let nearby = Nearby { print: &*print, rendering };
+                rendering = match round {
+                    0 => self.aligned_rendering(image, corners, nearby),
+                    _ => self.aligned_again(image, corners, nearby),
+                };
             } else if self.rests(&aligned) {
                 break;
             }
@@ -77,7 +90,9 @@ impl Refiner {
             by_edges.iter().zip(&*refined).filter(|(edges, it)| std_px(it) < std_px(edges));
         let is_better = 2 * better.count() > corners.len();
         if !is_better {
-            *refined = by_edges;
+            let both = refined.iter_mut().zip(by_edges);
+            let surer = both.filter(|(aligned, edges)| std_px(edges) < std_px(aligned));
+            surer.for_each(|(aligned, edges)| *aligned = edges);
         }
         is_better
     }
@@ -109,74 +124,44 @@ impl Refiner {
         }
     }
 
-    /// The blur with which the print is most like the image at some of the known corners.
-    fn aligned_blur(
-        &mut self,
-        image: GrayView<'_>,
-        corners: &[GridCorner],
-        Nearby { print, blur, power }: Nearby<'_>,
-    ) -> PrintBlur {
-        let known = corners.iter().enumerate().filter(|(slot, _)| self.known[*slot].is_some());
-        let known: Vec<(usize, &GridCorner)> = known.collect();
-        let every = (known.len() / self.thresholds.compared_corners).max(1);
-        let compared = known.iter().step_by(every).filter_map(|&(slot, corner)| {
-            let (window, light) = self.surroundings(corner, print.expected(slot)?, blur, power)?;
-            let mut patch = PrintPatch::default();
-            patch.read_for_any(print, slot, &window, blur);
-            Some((patch, window, light))
-        });
-        let mut compared: Vec<(PrintPatch, Window, PrintLight)> = compared.collect();
-        let samples = &mut self.aligned;
-        let mut misfit = |blur: PrintBlur| -> f64 {
-            let each = compared.iter_mut().map(|(patch, window, light)| {
-                let fit = patch.blurred(blur, window).then(|| {
-                    samples.gather(image, patch, window, light);
-                    samples.align(light)
-                });
-                fit.flatten().map_or(NO_PRINT, |fit| fit.mean_square)
-            });
-            each.sum()
-        };
-        let best = blur.best_width(&mut misfit);
-        if best.width_px() < self.thresholds.least_motion_px {
-            return best;
-        }
-        PrintBlur::best(best.width_px(), &mut misfit).best_width(&mut misfit)
-    }
-
     fn align_corner(
         &mut self,
         image: GrayView<'_>,
         slot: usize,
         corner: &GridCorner,
-        Nearby { print, blur, power }: Nearby<'_>,
+        Nearby { print, rendering }: Nearby<'_>,
     ) -> Option<Aligned> {
-        let (window, light) = self.surroundings(corner, print.expected(slot)?, blur, power)?;
-        self.patch.draw(print, slot, &window, blur);
+        let reach_px = self.aligned_reach_px(rendering.blur);
+        let bin = if PrintPatch::covers(rendering.blur, reach_px) { 1 } else { 2 };
+        let (window, light) = self.surroundings(corner, print.expected(slot)?, rendering, bin)?;
+        self.patch.draw(print, slot, &window, rendering.blur);
         let inside = self.aligned.gather(image, &self.patch, &window, &light);
         let fit = self.aligned.align(&light).filter(|_| inside > self.thresholds.least_inside)?;
-        Some(Aligned { window, fit, blur_px: blur.width_px() })
+        Some(Aligned { window, fit, blur_px: rendering.blur.width_px() })
     }
 
-    /// The window of `corner` about `origin`, and what is known of the light there.
-    fn surroundings(
+    fn aligned_reach_px(&self, blur: PrintBlur) -> f64 {
+        self.thresholds.aligned_reach * blur.width_px().max(self.thresholds.least_aligned_blur_px)
+    }
+
+    /// The window of `corner` about `origin` in samples of `bin` pixels, and what is known of the
+    /// light there.
+    pub(super) fn surroundings(
         &mut self,
         corner: &GridCorner,
         origin: [f64; 2],
-        blur: PrintBlur,
-        power: f64,
+        PrintRendering { blur, power }: PrintRendering,
+        bin: usize,
     ) -> Option<(Window, PrintLight)> {
         let limits = &self.thresholds;
-        let blur_px = blur.width_px();
-        let reach_px = limits.aligned_reach * blur_px.max(limits.least_aligned_blur_px);
         let window = Window {
             origin,
             axes: [[1.0, 0.0], [0.0, 1.0]],
-            extent: [reach_px; 2],
+            extent: [self.aligned_reach_px(blur); 2],
             strip_px: f64::INFINITY,
-            bin: if blur_px > limits.coarse_blur_px { 2 } else { 1 },
+            bin,
         };
-        if !blur.can_be_rendered(window.bin) {
+        if !PrintPatch::can_render(blur, window.bin) {
             return None;
         }
         let bin = window.bin as f64;

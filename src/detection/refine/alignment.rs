@@ -63,6 +63,9 @@ pub(super) struct Alignment {
 #[derive(Debug, Default)]
 pub(super) struct AlignedSamples {
     samples: Vec<AlignedSample>,
+    /// Gray values to `power`, for each of them.
+    lights: Vec<f64>,
+    power: f64,
 }
 
 /// One sample of the image, and the print there.
@@ -97,19 +100,24 @@ impl AlignedSamples {
         let reach = patch.reach() - 1;
         let (mut all, mut inside) = (0.0, 0.0);
         self.samples.clear();
+        self.set_power(light.power);
         for j in -reach..=reach {
             for i in -reach..=reach {
                 let at = [i as f64 + offset[0], j as f64 + offset[1]];
                 let weight = (-0.5 * (at[0] * at[0] + at[1] * at[1]) / (spread * spread)).exp();
                 all += weight;
                 let first = [0, 1].map(|k| window.origin[k] + bin as f64 * at[k] - half);
-                let Some(gray) = mean_of(image, first, bin) else { continue };
+                let Some(mean_light) = mean_of(image, first, bin, &self.lights) else { continue };
+                let gray = match bin {
+                    1 => f64::from(image.row(first[1] as usize)[first[0] as usize]),
+                    _ => mean_light.powf(1.0 / light.power),
+                };
                 inside += weight;
                 let lit =
                     1.0 + light.power * (light.gradient[0] * at[0] + light.gradient[1] * at[1]);
                 self.samples.push(AlignedSample {
                     gray,
-                    light: gray.max(DARKEST).powf(light.power),
+                    light: mean_light,
                     print: patch.full(i, j),
                     slope: [
                         (patch.full(i + 1, j) - patch.full(i - 1, j)) / 2.0,
@@ -140,6 +148,22 @@ impl AlignedSamples {
             }
         }
         found.map(|(_, aligned)| aligned)
+    }
+
+    /// Mean square of the residuals in units of the noise with every sample trusted; `None` as for
+    /// [`Self::align`].
+    pub fn mean_square_of_all(&self, light: &PrintLight) -> Option<f64> {
+        let [part, _] = light.tolerance.1;
+        self.step(light, part, None).map(|(_, aligned)| aligned.mean_square)
+    }
+
+    /// Takes gray values to this power to be in proportion to light.
+    fn set_power(&mut self, power: f64) {
+        if self.power != power {
+            self.power = power;
+            self.lights.clear();
+            self.lights.extend((0..=255).map(|gray| f64::from(gray).max(DARKEST).powf(power)));
+        }
     }
 
     /// Weighted least squares with the weights that the unknowns `before` give.
@@ -246,8 +270,9 @@ impl AlignmentSums {
     }
 }
 
-/// The mean of `bin` × `bin` pixels from `first` on; `None` where they are not in the image.
-fn mean_of(image: GrayView<'_>, first: [f64; 2], bin: usize) -> Option<f64> {
+/// The mean of the `lights` of `bin` × `bin` pixels from `first` on; `None` where they are not in
+/// the image.
+fn mean_of(image: GrayView<'_>, first: [f64; 2], bin: usize, lights: &[f64]) -> Option<f64> {
     let [x, y] = first.map(f64::round);
     if x < 0.0 || y < 0.0 {
         return None;
@@ -257,8 +282,8 @@ fn mean_of(image: GrayView<'_>, first: [f64; 2], bin: usize) -> Option<f64> {
         return None;
     }
     let rows = (y..y + bin).map(|row| &image.row(row)[x..x + bin]);
-    let sum: u32 = rows.flatten().map(|&pixel| u32::from(pixel)).sum();
-    Some(f64::from(sum) / (bin * bin) as f64)
+    let sum: f64 = rows.flatten().map(|&pixel| lights[usize::from(pixel)]).sum();
+    Some(sum / (bin * bin) as f64)
 }
 
 #[cfg(test)]

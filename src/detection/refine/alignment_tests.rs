@@ -3,7 +3,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::*;
-use crate::detection::refine::print::{BoardPrint, PrintBlur};
+use crate::detection::refine::print::BoardPrint;
+use crate::detection::refine::print_blur::PrintBlur;
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayImage;
 
@@ -29,11 +30,15 @@ impl BoardPrint for Cells {
         Some([cos * x + sin * y, cos * y - sin * x])
     }
 
-    fn mean(&self, _: usize, place: [f64; 2], half: [f64; 2]) -> [f32; 2] {
+    fn mean(&self, place: [f64; 2], half: [f64; 2]) -> f32 {
         let wave = |k: usize| {
             (integral(place[k] + half[k]) - integral(place[k] - half[k])) / (2.0 * half[k])
         };
-        [(wave(0) * wave(1)) as f32, 0.0]
+        (wave(0) * wave(1)) as f32
+    }
+
+    fn mean_of_edges(&self, _: usize, _: [f64; 2], _: [f64; 2]) -> f32 {
+        0.0
     }
 
     fn expected(&self, _: usize) -> Option<[f64; 2]> {

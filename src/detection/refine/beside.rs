@@ -1,14 +1,13 @@
 //! What disturbs a corner's window besides its own two edges.
 
-use crate::detection::refine::print::{BoardPrint, PrintBlur};
+use crate::detection::refine::print::BoardPrint;
+use crate::detection::refine::print_blur::PrintRendering;
 
-/// What is printed beside the corners, and how blurred it is.
+/// What is printed beside the corners, and how the image shows it.
 #[derive(Clone, Copy)]
 pub(super) struct Nearby<'a> {
     pub(super) print: &'a dyn BoardPrint,
-    pub(super) blur: PrintBlur,
-    /// The camera's gray values to this power are in proportion to light.
-    pub(super) power: f64,
+    pub(super) rendering: PrintRendering,
 }
 
 /// What is beside a corner.

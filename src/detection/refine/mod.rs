@@ -7,8 +7,8 @@
 //! | model | `corner_model`, `gaussian` | two crossing edges, each a Gaussian's integral across |
 //! | fit | `fit`, `normal_equations`, `elimination` | weighted least squares, robust against outliers |
 //! | two fits | `first_fit`, `second_fit`, `fitted` | each corner by itself, then with what the board knows; whether it is a corner |
-//! | print | `print`, `printed` | takes off the window what is printed beside the two edges, where blur brings it in |
-//! | alignment | `aligned`, `alignment` | where blur runs edges into each other: moves the whole print until it is most like the image |
+//! | print | `print`, `printed`, `print_blur`, `transfer` | takes off the window what is printed beside the two edges, where blur brings it in |
+//! | alignment | `aligned`, `alignment`, `rendering_search` | where blur runs edges into each other: moves the whole print until it is most like the image |
 //! | shading | `shading` | takes off light that changes over a corner's window |
 //! | board | `lattice`, `field`, `noise` | what all corners estimate together: the curvature of the edges, the change of light, the noise |
 //! | standard deviation | `corner_std`, `halves`, `scatter`, `misfit`, `straightness` | the fit's own, times one factor for each sign of a larger error: edge halves differ, one corner fits worse than the others, corners leave their lines |
@@ -38,14 +38,17 @@ mod noise;
 mod normal_equations;
 mod own_curvature;
 pub mod print;
+mod print_blur;
 mod printed;
 mod refined_corner;
 mod refiner;
+mod rendering_search;
 mod samples;
 mod scatter;
 mod second_fit;
 mod shading;
 mod straightness;
+mod transfer;
 mod window;
 
 pub use crate::detection::refine::grid_corner::GridCorner;

@@ -8,7 +8,9 @@
 //! is taken off the image. Near the two edges both agree, so the neighbors' errors do not enter.
 
 use crate::detection::refine::corner_model::{CornerModel, length};
+use crate::detection::refine::print_blur::{PrintBlur, kernel_radius, line_reach};
 use crate::detection::refine::samples::Samples;
+use crate::detection::refine::transfer::Transfer;
 use crate::detection::refine::window::Window;
 use crate::geometry::pixel::Pixel;
 
@@ -21,10 +23,12 @@ pub trait BoardPrint {
     /// `None` where that is not known.
     fn place_of(&self, corner: usize, pixel: [f64; 2]) -> Option<[f64; 2]>;
 
-    /// The mean of the print near the corner of this number over a rectangle about `place` that
-    /// reaches `half` to each side, 1 where all is white and −1 where all is black: as it is, and
-    /// as the two edges through the corner alone would have it.
-    fn mean(&self, corner: usize, place: [f64; 2], half: [f64; 2]) -> [f32; 2];
+    /// The mean of the print over a rectangle about `place` that reaches `half` to each side: 1
+    /// where all is white and −1 where all is black.
+    fn mean(&self, place: [f64; 2], half: [f64; 2]) -> f32;
+
+    /// The same as the two edges through the corner of this number alone would have it.
+    fn mean_of_edges(&self, corner: usize, place: [f64; 2], half: [f64; 2]) -> f32;
 
     /// Where the print has the corner of this number, in the image in pixels. `None` where that is
     /// not known.
@@ -37,14 +41,9 @@ pub trait BoardPrint {
 /// Edges nearer than this many standard deviations of the blur disturb a corner: its own are fitted
 /// up to 2.7 of them away, and others show as far.
 const DISTURBS: f64 = 5.0;
-/// Standard deviations of the blur beyond which nothing of an edge is rendered.
-const KERNEL_REACH: f64 = 3.0;
 /// Means of the print, −1 … 1, that differ by less are the same: a tenth of what eight bits
 /// distinguish.
 const SAME: f32 = 1e-3;
-/// What any blur of a width reaches, in widths: three standard deviations of a round one that is
-/// e^0.7 times as wide; the half way of a motion is at most 2.4 widths, and e^0.7 times that.
-const ANY_REACH: f64 = 7.0;
 /// Largest half width of a rendered patch, in samples: twice that of the window of a second fit.
 const MOST_REACH: i64 = 28;
 
@@ -53,116 +52,6 @@ pub(super) fn disturbs(room: f64, [u, v]: [[f64; 2]; 2], blur_px: f64) -> bool {
     let height = (u[0] * v[1] - u[1] * v[0]).abs() / length(u).max(length(v));
     room * height < DISTURBS * blur_px
 }
-
-/// A blur: a Gaussian's, and a uniform motion.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct PrintBlur {
-    /// The Gaussian's standard deviation, in pixels.
-    sigma_px: f64,
-    /// Half of the way of the motion, in pixels.
-    line_px: [f64; 2],
-}
-
-impl PrintBlur {
-    /// Without motion.
-    pub fn round(sigma_px: f64) -> Self {
-        Self { sigma_px, line_px: [0.0; 2] }
-    }
-
-    /// The root of the mean variance across two edges at a right angle, in pixels.
-    pub fn width_px(&self) -> f64 {
-        let [x, y] = self.line_px;
-        (self.sigma_px * self.sigma_px + (x * x + y * y) / 6.0).sqrt()
-    }
-
-    /// A motion in the direction `angle` that has `share` of the variance across two edges at a
-    /// right angle, which together are 2·`blur_px`².
-    fn moving(blur_px: f64, angle: f64, share: f64) -> Self {
-        let variance = 2.0 * blur_px * blur_px;
-        // A uniform motion over 2h has a variance of h²/3.
-        let half = (3.0 * share * variance).sqrt();
-        let sigma_px = ((1.0 - share) * variance / 2.0).sqrt().max(SHARPEST_PX);
-        let (sin, cos) = angle.sin_cos();
-        Self { sigma_px, line_px: [half * cos, half * sin] }
-    }
-
-    /// Whether it is narrow enough to be rendered in samples of `bin` pixels in bounded time.
-    pub fn can_be_rendered(self, bin: usize) -> bool {
-        self.reach(bin) <= 2 * MOST_REACH
-    }
-
-    /// How far it reaches, in samples of `bin` pixels.
-    fn reach(self, bin: usize) -> i64 {
-        let bin = bin as f64;
-        line_reach(self.line_px.map(|v| v / bin)) + kernel_radius(self.sigma_px / bin)
-    }
-
-    /// The same in an image `factor` times as large.
-    fn scaled(self, factor: f64) -> Self {
-        Self { sigma_px: factor * self.sigma_px, line_px: self.line_px.map(|v| factor * v) }
-    }
-
-    /// The width of least `misfit`, by the golden section.
-    pub fn best_width(self, misfit: &mut dyn FnMut(Self) -> f64) -> Self {
-        let golden = (5_f64.sqrt() - 1.0) / 2.0;
-        let mut at = |log: f64| misfit(self.scaled(log.exp()));
-        let (mut low, mut high) = (-WIDTHS, WIDTHS);
-        let mut inner = [high - golden * (high - low), low + golden * (high - low)];
-        let mut found = inner.map(&mut at);
-        for _ in 0..SECTIONS {
-            if found[0] < found[1] {
-                high = inner[1];
-                inner = [high - golden * (high - low), inner[0]];
-                found = [at(inner[0]), found[0]];
-            } else {
-                low = inner[0];
-                inner = [inner[1], low + golden * (high - low)];
-                found = [found[1], at(inner[1])];
-            }
-        }
-        self.scaled(((low + high) / 2.0).exp())
-    }
-
-    /// The blur of least `misfit`, of those with the variance of `blur_px` across edges at a right
-    /// angle.
-    pub fn best(blur_px: f64, misfit: &mut dyn FnMut(Self) -> f64) -> Self {
-        let round = Self::round(blur_px);
-        let mut best = (MOVES * misfit(round), round);
-        let mut at = (0.0, FIRST_SHARE);
-        let mut offer = |angle: f64, share: f64, at: &mut (f64, f64)| {
-            let moving = Self::moving(blur_px, angle, share);
-            let found = misfit(moving);
-            if found < best.0 {
-                best = (found, moving);
-                *at = (angle, share);
-            }
-        };
-        let step = std::f64::consts::PI / ANGLES as f64;
-        (0..ANGLES).for_each(|k| offer(step * k as f64, FIRST_SHARE, &mut at));
-        let angle = at.0;
-        SHARES.iter().for_each(|share| offer(angle, *share, &mut at));
-        let (angle, share) = at;
-        [-0.5, -0.25, 0.25, 0.5].iter().for_each(|k| offer(angle + k * step, share, &mut at));
-        best.1
-    }
-}
-
-/// Directions in which motion is sought, over a half turn.
-const ANGLES: usize = 12;
-/// The part of the variance that is motion's: first, and then.
-const FIRST_SHARE: f64 = 0.9;
-const SHARES: [f64; 6] = [0.5, 0.7, 0.8, 0.85, 0.94, 0.97];
-/// The natural logarithm of the most that a width is wrong by, twice the 17 % by which widths of
-/// edges were too large on AprilGrids, and the sections until it is known to 1 %.
-const WIDTHS: f64 = 0.35;
-const SECTIONS: usize = 8;
-/// Motion must leave less than this part of what a round blur leaves.
-const MOVES: f64 = 0.8;
-/// No lens with its pixels is sharper, in pixels.
-const SHARPEST_PX: f64 = 0.35;
-/// The darkest gray level, and the powers of gray levels that may be in proportion to light.
-const DARKEST: f64 = 0.5;
-const POWERS: [f64; 2] = [0.7, 3.0];
 
 /// The print around one corner, in the samples of its window.
 #[derive(Debug, Default)]
@@ -181,7 +70,25 @@ pub(super) struct PrintPatch {
     kernel: Vec<f32>,
 }
 
+/// What is read of a print.
+#[derive(Clone, Copy, PartialEq)]
+enum Layers {
+    Print,
+    /// And the corner's two edges alone.
+    Both,
+}
+
 impl PrintPatch {
+    /// Whether `blur` is narrow enough to be rendered in samples of `bin` pixels in bounded time.
+    pub fn can_render(blur: PrintBlur, bin: usize) -> bool {
+        blur.reach(bin) <= 2 * MOST_REACH
+    }
+
+    /// Whether a patch of single pixels can be rendered that reaches as far as `reach_px`.
+    pub fn covers(blur: PrintBlur, reach_px: f64) -> bool {
+        reach_px + 1.0 <= MOST_REACH as f64 && Self::can_render(blur, 1)
+    }
+
     /// Renders the print around `corner` in the samples of `window`, blurred. False where nothing
     /// but the corner's two edges is printed.
     pub fn render(
@@ -192,11 +99,11 @@ impl PrintPatch {
         blur: PrintBlur,
     ) -> bool {
         let margin = blur.reach(window.bin);
-        let disturbed = self.read(print, corner, window, margin);
+        let disturbed = self.read(print, corner, window, (margin, Layers::Both));
         disturbed && self.blurred(blur, window)
     }
 
-    /// The same wherever anything is printed.
+    /// Renders all that is printed around `corner`, but not its two edges alone.
     pub fn draw(
         &mut self,
         print: &dyn BoardPrint,
@@ -204,13 +111,12 @@ impl PrintPatch {
         window: &Window,
         blur: PrintBlur,
     ) {
-        let margin = blur.reach(window.bin);
-        self.read(print, corner, window, margin);
+        self.read(print, corner, window, (blur.reach(window.bin), Layers::Print));
         self.blurred(blur, window);
     }
 
-    /// Reads the print as far around as any blur in [`PrintBlur::best`] of the width of `blur`
-    /// reaches, for [`Self::blurred`].
+    /// Reads the print as far around as any blur reaches that a search from `blur` tries, for
+    /// [`Self::blurred`].
     pub fn read_for_any(
         &mut self,
         print: &dyn BoardPrint,
@@ -218,8 +124,7 @@ impl PrintPatch {
         window: &Window,
         blur: PrintBlur,
     ) {
-        let margin = (ANY_REACH * blur.width_px() / window.bin as f64).ceil() as i64;
-        self.read(print, corner, window, margin);
+        self.read(print, corner, window, (blur.reach_of_any(window.bin), Layers::Print));
     }
 
     /// Blurs what was read in the samples of `window`. False where the blur reaches farther than
@@ -264,21 +169,6 @@ impl PrintPatch {
         });
     }
 
-    /// Mean square of the differences between `samples` and the rendered print, in squares of gray
-    /// levels.
-    pub fn misfit(&self, samples: &mut Samples, model: &CornerModel, power: f64) -> f64 {
-        let gray = Transfer::of(model, power);
-        let (mut sum, mut count) = (0.0, 0.0);
-        samples.change(|x, y, value| {
-            if let Some([full, _]) = self.at(x, y) {
-                sum += f64::from(value - gray.at(full)).powi(2);
-                count += 1.0;
-            }
-            value
-        });
-        sum / f64::max(count, 1.0)
-    }
-
     /// The print at a place of the window: as it is, and as two edges alone.
     fn at(&self, x: f32, y: f32) -> Option<[f32; 2]> {
         let side = 2 * self.reach + 1;
@@ -297,14 +187,14 @@ impl PrintPatch {
         self.kernel.extend((-radius..=radius).map(|k| (weight(k) / total) as f32));
     }
 
-    /// Reads the print at all samples of `window` and `margin` around them. Whether other edges
-    /// than the corner's two are printed there.
+    /// Reads the print at all samples of `window` and `margin` around them. Of both layers: whether
+    /// other edges than the corner's two are printed there.
     fn read(
         &mut self,
         print: &dyn BoardPrint,
         corner: usize,
         window: &Window,
-        margin: i64,
+        (margin, layers): (i64, Layers),
     ) -> bool {
         let bin = window.bin as f64;
         let half = (bin - 1.0) / 2.0;
@@ -337,10 +227,13 @@ impl PrintPatch {
         for j in -around..=around {
             for i in -around..=around {
                 let place = place_of(i as f64, j as f64);
-                let [full, alone] = place.map_or([0.0; 2], |place| print.mean(corner, place, half));
-                disturbed |= (full - alone).abs() > SAME;
+                let full = place.map_or(0.0, |place| print.mean(place, half));
                 self.read[0].push(full);
-                self.read[1].push(alone);
+                if layers == Layers::Both {
+                    let alone = place.map_or(0.0, |place| print.mean_of_edges(corner, place, half));
+                    disturbed |= (full - alone).abs() > SAME;
+                    self.read[1].push(alone);
+                }
             }
         }
         disturbed
@@ -355,7 +248,7 @@ impl PrintPatch {
         let outer = inner + kernel.len() - 1;
         let wide = side + 2 * *margin as usize;
         let first = (wide - outer) / 2;
-        for (read, layer) in read.iter().zip(layers) {
+        for (read, layer) in read.iter().zip(layers).filter(|(read, _)| !read.is_empty()) {
             passed.clear();
             for row in read.chunks_exact(wide).skip(first).take(outer) {
                 passed.extend(row[first..first + outer].windows(kernel.len()).map(|seen| {
@@ -378,16 +271,6 @@ impl PrintPatch {
             }
         }
     }
-}
-
-/// By how many samples a motion to both ends of `line` reaches to each side.
-fn line_reach(line: [f64; 2]) -> i64 {
-    line[0].abs().max(line[1].abs()).ceil() as i64
-}
-
-/// Half the width of a Gaussian's kernel.
-fn kernel_radius(sigma: f64) -> i64 {
-    (KERNEL_REACH * sigma).ceil().max(1.0) as i64
 }
 
 /// Averages `layer`, `side` samples and a margin wide, along `line` to both sides; what lies within
@@ -421,47 +304,4 @@ fn move_along(
         }
     }
     std::mem::swap(layer, moved);
-}
-
-/// Gray values of a pattern, 1 white and −1 black, of which a power is in proportion to light, as
-/// of a camera with a gamma.
-struct Transfer {
-    middle: f64,
-    half: f64,
-    inverse: f64,
-}
-
-impl Transfer {
-    fn of(model: &CornerModel, power: f64) -> Self {
-        let [black, white] = black_and_white(model).map(|gray| gray.powf(power));
-        Self { middle: (white + black) / 2.0, half: (white - black) / 2.0, inverse: 1.0 / power }
-    }
-
-    fn at(&self, pattern: f32) -> f32 {
-        let light = self.middle + self.half * f64::from(pattern);
-        light.max(0.0).powf(self.inverse) as f32
-    }
-}
-
-fn black_and_white(model: &CornerModel) -> [f64; 2] {
-    let half = model.amplitude.abs();
-    [model.level - half, model.level + half].map(|gray| gray.max(DARKEST))
-}
-
-/// The power of gray values that makes the gray value midway between black and white in light that
-/// which `model` has at its edges.
-pub(super) fn linear_power(model: &CornerModel) -> f64 {
-    let [black, white] = black_and_white(model);
-    let edge = (model.level + model.gamma_term).max(DARKEST);
-    // Above the root, light at the edge is less than the mean of black and white.
-    let mean_less_edge = |power: f64| (black / edge).powf(power) + (white / edge).powf(power) - 2.0;
-    let [mut low, mut high] = POWERS;
-    if mean_less_edge(high) < 0.0 {
-        return high;
-    }
-    for _ in 0..20 {
-        let middle = 0.5 * (low + high);
-        if mean_less_edge(middle) < 0.0 { low = middle } else { high = middle }
-    }
-    high
 }

@@ -102,12 +102,13 @@ impl Refiner {
             self.shaded.fill(false);
         }
         let mut print = print;
-        let blur = print.as_deref_mut().and_then(|it| self.fit_printed(image, corners, it));
+        let rendering = print.as_deref_mut().and_then(|it| self.fit_printed(image, corners, it));
         let nearby =
-            print.as_deref().zip(blur).map(|(print, (blur, power))| Nearby { print, blur, power });
+            print.as_deref().zip(rendering).map(|(print, rendering)| Nearby { print, rendering });
         self.fit_edges(image, corners, nearby, refined);
-        let (Some(print), Some(blur)) = (print, blur) else { return false };
-        self.align_print(image, corners, print, blur, refined)
+        let rendering = rendering.or_else(|| self.rendering_of_unrefined(refined));
+        let (Some(print), Some(rendering)) = (print, rendering) else { return false };
+        self.align_print(image, corners, print, rendering, refined)
     }
 
     /// The second fits of all corners, and what the board says of them.

@@ -35,10 +35,10 @@ impl Refiner {
         start.center = [0.0; 2];
         start.curvature = around.curvature.map(|c| c * bin);
         start.gradient = around.light_gradient.map(|g| g * bin);
-        if let Some((slot, Nearby { print, blur, power })) = beside.print
-            && self.patch.render(print, slot, &window, blur)
+        if let Some((slot, Nearby { print, rendering })) = beside.print
+            && self.patch.render(print, slot, &window, rendering.blur)
         {
-            self.patch.take_off(&mut self.samples, &start, power);
+            self.patch.take_off(&mut self.samples, &start, rendering.power);
         }
         let [black, white] = noise.map(|std| std / bin);
         let noise = Noise {

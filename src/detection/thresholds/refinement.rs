@@ -93,7 +93,7 @@ thresholds! {
         aligned_reach: f64 = 3.5, "blur widths", ThresholdOrigin::Swept;
         /// Least blur that an alignment's window is made for.
         least_aligned_blur_px: f64 = 2.0, "px", ThresholdOrigin::Derived("a window of 15 pixels: ten for each unknown");
-        /// Blur above which samples of an alignment are sums of 2×2 pixels.
+        /// Blur above which it is searched for in samples of 2×2 pixels.
         coarse_blur_px: f64 = 3.0, "px", ThresholdOrigin::Derived("a sample is then narrower than the blur");
     }
 }

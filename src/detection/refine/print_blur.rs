@@ -1,0 +1,202 @@
+//! How an image shows a print: blurred by lens, focus and a motion during the exposure, and by a
+//! camera's gamma.
+
+use nalgebra::{Matrix2, Vector2};
+
+/// Newton's steps: each leaves the square of what was left. And the longest one, in those over
+/// which slopes are taken: 30 % of a width, over which a misfit is near enough to a parabola.
+const NEWTON_STEPS: usize = 3;
+const MOST_STEPS: f64 = 10.0;
+/// Standard deviations of the blur beyond which nothing of an edge is rendered.
+const KERNEL_REACH: f64 = 3.0;
+/// What any blur of a width reaches, in widths: three standard deviations of a round one that is
+/// e^0.7 times as wide; the half way of a motion is at most 2.4 widths, and e^0.7 times that.
+const ANY_REACH: f64 = 7.0;
+/// Directions in which motion is sought, over a half turn.
+const ANGLES: usize = 12;
+/// The part of the variance that is motion's: first, and then.
+const FIRST_SHARE: f64 = 0.9;
+const SHARES: [f64; 6] = [0.5, 0.7, 0.8, 0.85, 0.94, 0.97];
+/// The natural logarithm of the most that a width is wrong by, twice the 17 % by which widths of
+/// edges were too large on AprilGrids, and the sections until it is known to 1 %.
+const WIDTHS: f64 = 0.35;
+const SECTIONS: usize = 8;
+/// Motion must leave less than this part of what a round blur leaves.
+const MOVES: f64 = 0.8;
+/// No lens with its pixels is sharper, in pixels.
+const SHARPEST_PX: f64 = 0.35;
+
+/// What an image makes of a print, the same for a whole board.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct PrintRendering {
+    pub blur: PrintBlur,
+    /// Gray values to this power are in proportion to light.
+    pub power: f64,
+}
+
+/// A blur: a Gaussian's, and a uniform motion.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct PrintBlur {
+    /// The Gaussian's standard deviation, in pixels.
+    pub sigma_px: f64,
+    /// Half of the way of the motion, in pixels.
+    pub line_px: [f64; 2],
+}
+
+impl PrintBlur {
+    /// Without motion.
+    pub fn round(sigma_px: f64) -> Self {
+        Self { sigma_px, line_px: [0.0; 2] }
+    }
+
+    /// The root of the mean variance across two edges at a right angle, in pixels.
+    pub fn width_px(&self) -> f64 {
+        let [x, y] = self.line_px;
+        (self.sigma_px * self.sigma_px + (x * x + y * y) / 6.0).sqrt()
+    }
+
+    /// A motion in the direction `angle` that has `share` of the variance across two edges at a
+    /// right angle, which together are 2·`blur_px`².
+    fn moving(blur_px: f64, angle: f64, share: f64) -> Self {
+        let variance = 2.0 * blur_px * blur_px;
+        // A uniform motion over 2h has a variance of h²/3.
+        let half = (3.0 * share * variance).sqrt();
+        let sigma_px = ((1.0 - share) * variance / 2.0).sqrt().max(SHARPEST_PX);
+        let (sin, cos) = angle.sin_cos();
+        Self { sigma_px, line_px: [half * cos, half * sin] }
+    }
+
+    /// How far any blur reaches that a search from this one tries, in samples of `bin` pixels.
+    pub fn reach_of_any(self, bin: usize) -> i64 {
+        (ANY_REACH * self.width_px() / bin as f64).ceil() as i64
+    }
+
+    /// How far it reaches, in samples of `bin` pixels.
+    pub fn reach(self, bin: usize) -> i64 {
+        let bin = bin as f64;
+        line_reach(self.line_px.map(|v| v / bin)) + kernel_radius(self.sigma_px / bin)
+    }
+
+    /// The same in an image `factor` times as large.
+    pub fn scaled(self, factor: f64) -> Self {
+        Self { sigma_px: factor * self.sigma_px, line_px: self.line_px.map(|v| factor * v) }
+    }
+
+    /// The width of least `misfit`, of those that differ from its own by at most 42 %.
+    pub fn best_width(self, misfit: &mut dyn FnMut(Self) -> f64) -> Self {
+        let at = |log: f64| misfit(self.scaled(log.exp()));
+        self.scaled(golden_section([-WIDTHS, WIDTHS], SECTIONS, at).exp())
+    }
+
+    /// The blur of least `misfit`, of those with the variance of `blur_px` across edges at a right
+    /// angle.
+    pub fn best(blur_px: f64, misfit: &mut dyn FnMut(Self) -> f64) -> Self {
+        let round = Self::round(blur_px);
+        let mut best = (MOVES * misfit(round), round);
+        let mut at = (0.0, FIRST_SHARE);
+        let mut offer = |angle: f64, share: f64, at: &mut (f64, f64)| {
+            let moving = Self::moving(blur_px, angle, share);
+            let found = misfit(moving);
+            if found < best.0 {
+                best = (found, moving);
+                *at = (angle, share);
+            }
+        };
+        let step = std::f64::consts::PI / ANGLES as f64;
+        (0..ANGLES).for_each(|k| offer(step * k as f64, FIRST_SHARE, &mut at));
+        let angle = at.0;
+        SHARES.iter().for_each(|share| offer(angle, *share, &mut at));
+        let (angle, share) = at;
+        [-0.5, -0.25, 0.25, 0.5].iter().for_each(|k| offer(angle + k * step, share, &mut at));
+        best.1
+    }
+}
+
+/// By how many samples a motion to both ends of `line` reaches to each side.
+pub(super) fn line_reach(line: [f64; 2]) -> i64 {
+    line[0].abs().max(line[1].abs()).ceil() as i64
+}
+
+/// Half the width of a Gaussian's kernel.
+pub(super) fn kernel_radius(sigma: f64) -> i64 {
+    (KERNEL_REACH * sigma).ceil().max(1.0) as i64
+}
+
+/// Where `value` is least within `range`, if it has one minimum there: known to 0.618^`sections` of
+/// the range (J. Kiefer: Sequential minimax search for a maximum, 1953).
+pub(super) fn golden_section(
+    [mut low, mut high]: [f64; 2],
+    sections: usize,
+    mut value: impl FnMut(f64) -> f64,
+) -> f64 {
+    let golden = (5_f64.sqrt() - 1.0) / 2.0;
+    let mut inner = [high - golden * (high - low), low + golden * (high - low)];
+    let mut found = inner.map(&mut value);
+    for _ in 0..sections {
+        if found[0] < found[1] {
+            high = inner[1];
+            inner = [high - golden * (high - low), inner[0]];
+            found = [value(inner[0]), found[0]];
+        } else {
+            low = inner[0];
+            inner = [inner[1], low + golden * (high - low)];
+            found = [found[1], value(inner[1])];
+        }
+    }
+    (low + high) / 2.0
+}
+
+/// Where `value` is least near [0, 0], and how small it is there: by Newton's method with
+/// differences over `steps`, in steps of at most ten of them.
+pub(super) fn least_near(
+    steps: [f64; 2],
+    value: &mut dyn FnMut([f64; 2]) -> f64,
+) -> ([f64; 2], f64) {
+    let mut at = [0.0; 2];
+    let mut least = value(at);
+    for _ in 0..NEWTON_STEPS {
+        let mut beside = |i: f64, j: f64| value([at[0] + i * steps[0], at[1] + j * steps[1]]);
+        let [right, left] = [beside(1.0, 0.0), beside(-1.0, 0.0)];
+        let [below, above] = [beside(0.0, 1.0), beside(0.0, -1.0)];
+        let mixed = beside(1.0, 1.0) - right - below + least;
+        let slope = Vector2::new(right - left, below - above) / 2.0;
+        let curvature = [right + left - 2.0 * least, below + above - 2.0 * least];
+        let hessian = Matrix2::new(curvature[0], mixed, mixed, curvature[1]);
+        let step = match hessian.cholesky() {
+            Some(convex) => -convex.solve(&slope),
+            None => -slope.map(f64::signum),
+        };
+        let step = step.map(|part| part.clamp(-MOST_STEPS, MOST_STEPS));
+        let to = |part: f64| [0, 1].map(|k| at[k] + part * step[k] * steps[k]);
+        let tried = [1.0, 0.25].map(|part| (to(part), value(to(part))));
+        let Some((next, smaller)) = tried.into_iter().find(|(_, it)| *it < least) else { break };
+        (at, least) = (next, smaller);
+    }
+    (at, least)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{golden_section, least_near};
+
+    #[test]
+    fn the_golden_section_finds_the_least_value_within_its_bound() {
+        let found = golden_section([-0.35, 0.35], 8, |x| (x - 0.123).powi(2));
+        assert!((found - 0.123).abs() < 0.7 * 0.618_f64.powi(8), "{found}");
+    }
+
+    #[test]
+    fn correlated_unknowns_are_found_together() {
+        // A valley: changing one of the two alone gains next to nothing.
+        let value = |[x, y]: [f64; 2]| (x + y - 0.1).powi(2) + 0.01 * (x - y - 0.3).powi(2) + 2.0;
+        let (at, least) = least_near([0.03, 0.06], &mut { value });
+        assert!((at[0] - 0.2).abs() < 1e-6 && (at[1] + 0.1).abs() < 1e-6, "{at:?}");
+        assert!((least - 2.0).abs() < 1e-9, "{least}");
+    }
+
+    #[test]
+    fn what_cannot_be_made_less_stays_where_it_is() {
+        let (at, least) = least_near([0.03, 0.06], &mut |_| 7.0);
+        assert_eq!((at, least), ([0.0; 2], 7.0));
+    }
+}

@@ -1,0 +1,166 @@
+//! The blur and the gamma with which a board's print is most like the image.
+
+use crate::detection::refine::alignment::{AlignedSamples, PrintLight};
+use crate::detection::refine::beside::Nearby;
+use crate::detection::refine::grid_corner::GridCorner;
+use crate::detection::refine::print::PrintPatch;
+use crate::detection::refine::print_blur::{PrintBlur, PrintRendering, least_near};
+use crate::detection::refine::refined_corner::RefinedCorner;
+use crate::detection::refine::refiner::Refiner;
+use crate::detection::refine::transfer::POWERS;
+use crate::detection::refine::window::Window;
+use crate::imaging::gray::GrayView;
+
+/// Mean square, in units of the noise, of what cannot be aligned: above that of any print that can.
+const NO_PRINT: f64 = 1e6;
+/// Most octaves of widths that are searched: from the widest blur that can be rendered to the
+/// narrowest motion that is distinguished are four. Each search reaches half an octave to both
+/// sides.
+const MOST_OCTAVES: usize = 5;
+/// Changes of the logarithms of width and power over which a misfit's slopes are taken: three times
+/// the 1 % to which a width is to be known.
+const STEPS: [f64; 2] = [0.03, 0.06];
+
+impl Refiner {
+    /// What the fits of edges say of blur and gamma where fewer than three in four corners could be
+    /// refined by them, and the blur may be a motion's.
+    pub(super) fn rendering_of_unrefined(
+        &mut self,
+        refined: &[Option<RefinedCorner>],
+    ) -> Option<PrintRendering> {
+        let are_few = 4 * refined.iter().flatten().count() < 3 * refined.len();
+        let least_px = self.thresholds.least_motion_px;
+        self.median_rendering().filter(|it| are_few && it.blur.width_px() >= least_px)
+    }
+
+    /// The blur and the gamma with which the print is most like the image at some of the known
+    /// corners, near those of `nearby`: with any motion, and at most 42 % wider or narrower.
+    pub(super) fn aligned_rendering(
+        &mut self,
+        image: GrayView<'_>,
+        corners: &[GridCorner],
+        nearby: Nearby<'_>,
+    ) -> PrintRendering {
+        let least_motion_px = self.thresholds.least_motion_px;
+        let mut compared = self.compared(image, corners, nearby, Trust::Robust);
+        compared.best(nearby.rendering, least_motion_px).0
+    }
+
+    /// The same with the motion of `nearby`.
+    pub(super) fn aligned_again(
+        &mut self,
+        image: GrayView<'_>,
+        corners: &[GridCorner],
+        nearby: Nearby<'_>,
+    ) -> PrintRendering {
+        self.compared(image, corners, nearby, Trust::Robust).adjusted(nearby.rendering).0
+    }
+
+    /// Blur and gamma for which the print is most like the image, where fits of edges mistake them:
+    /// two edges that run into each other are fitted as one that is wider, never narrower. Every
+    /// sample is trusted: while the blur is wrong, those that disagree say so, and are no outliers.
+    pub(super) fn rendering_of_any_width(
+        &mut self,
+        image: GrayView<'_>,
+        corners: &[GridCorner],
+        Nearby { print, rendering }: Nearby<'_>,
+    ) -> PrintRendering {
+        let least_motion_px = self.thresholds.least_motion_px;
+        let mut width_px = rendering.blur.width_px();
+        let mut best = (rendering, f64::INFINITY);
+        for _ in 0..MOST_OCTAVES {
+            let start = PrintRendering { blur: PrintBlur::round(width_px), ..rendering };
+            let nearby = Nearby { print, rendering: start };
+            let mut compared = self.compared(image, corners, nearby, Trust::All);
+            let found = compared.best(start, least_motion_px);
+            if found.1 < best.1 {
+                best = found;
+            }
+            width_px /= 2.0;
+            if width_px < least_motion_px {
+                break;
+            }
+        }
+        best.0
+    }
+
+    /// Some of the known corners, with windows for blurs near that of `nearby`.
+    fn compared<'a>(
+        &'a mut self,
+        image: GrayView<'a>,
+        corners: &[GridCorner],
+        Nearby { print, rendering }: Nearby<'_>,
+        trust: Trust,
+    ) -> ComparedCorners<'a> {
+        let known = corners.iter().enumerate().filter(|(slot, _)| self.known[*slot].is_some());
+        let known: Vec<(usize, &GridCorner)> = known.collect();
+        let every = (known.len() / self.thresholds.compared_corners).max(1);
+        let is_wide = rendering.blur.width_px() > self.thresholds.coarse_blur_px;
+        let bin = if is_wide { 2 } else { 1 };
+        let compared = known.iter().step_by(every).filter_map(|&(slot, corner)| {
+            let origin = print.expected(slot)?;
+            let (window, light) = self.surroundings(corner, origin, rendering, bin)?;
+            let mut patch = PrintPatch::default();
+            patch.read_for_any(print, slot, &window, rendering.blur);
+            Some((patch, window, light))
+        });
+        let corners = compared.collect();
+        ComparedCorners { image, corners, samples: &mut self.aligned, trust }
+    }
+}
+
+/// Corners at which renderings are compared.
+struct ComparedCorners<'a> {
+    image: GrayView<'a>,
+    corners: Vec<(PrintPatch, Window, PrintLight)>,
+    samples: &'a mut AlignedSamples,
+    trust: Trust,
+}
+
+/// Which samples a misfit is of.
+#[derive(Clone, Copy, PartialEq)]
+enum Trust {
+    All,
+    /// Those that agree with the print.
+    Robust,
+}
+
+impl ComparedCorners<'_> {
+    /// The rendering of least misfit near `start`, and the misfit.
+    fn best(&mut self, start: PrintRendering, least_motion_px: f64) -> (PrintRendering, f64) {
+        let power = start.power;
+        let mut of_blur = |blur: PrintBlur| self.misfit(PrintRendering { blur, power });
+        let mut blur = start.blur.best_width(&mut of_blur);
+        if blur.width_px() >= least_motion_px {
+            blur = PrintBlur::best(blur.width_px(), &mut of_blur);
+        }
+        self.adjusted(PrintRendering { blur, power })
+    }
+
+    /// `start` with the width of blur and the power of least misfit, and the misfit.
+    fn adjusted(&mut self, start: PrintRendering) -> (PrintRendering, f64) {
+        let changed = |[width, power]: [f64; 2]| PrintRendering {
+            blur: start.blur.scaled(width.exp()),
+            power: (start.power * power.exp()).clamp(POWERS[0], POWERS[1]),
+        };
+        let (change, misfit) = least_near(STEPS, &mut |change| self.misfit(changed(change)));
+        (changed(change), misfit)
+    }
+
+    /// The sum over the corners of the mean squares of what is left, in units of the noise.
+    fn misfit(&mut self, PrintRendering { blur, power }: PrintRendering) -> f64 {
+        let each = self.corners.iter_mut().map(|(patch, window, light)| {
+            light.power = power;
+            if !patch.blurred(blur, window) {
+                return NO_PRINT;
+            }
+            self.samples.gather(self.image, patch, window, light);
+            let mean_square = match self.trust {
+                Trust::All => self.samples.mean_square_of_all(light),
+                Trust::Robust => self.samples.align(light).map(|it| it.mean_square),
+            };
+            mean_square.unwrap_or(NO_PRINT)
+        });
+        each.sum()
+    }
+}

@@ -1,0 +1,50 @@
+//! Gray values and light: a camera's gamma.
+
+use crate::detection::refine::corner_model::CornerModel;
+
+/// The darkest gray level, and the powers of gray levels that may be in proportion to light.
+const DARKEST: f64 = 0.5;
+pub(super) const POWERS: [f64; 2] = [0.7, 3.0];
+
+/// Gray values of a pattern, 1 white and −1 black, of which a power is in proportion to light, as
+/// of a camera with a gamma.
+pub(super) struct Transfer {
+    middle: f64,
+    half: f64,
+    inverse: f64,
+}
+
+impl Transfer {
+    pub fn of(model: &CornerModel, power: f64) -> Self {
+        let [black, white] = black_and_white(model).map(|gray| gray.powf(power));
+        Self { middle: (white + black) / 2.0, half: (white - black) / 2.0, inverse: 1.0 / power }
+    }
+
+    pub fn at(&self, pattern: f32) -> f32 {
+        let light = self.middle + self.half * f64::from(pattern);
+        light.max(0.0).powf(self.inverse) as f32
+    }
+}
+
+fn black_and_white(model: &CornerModel) -> [f64; 2] {
+    let half = model.amplitude.abs();
+    [model.level - half, model.level + half].map(|gray| gray.max(DARKEST))
+}
+
+/// The power of gray values that makes the gray value midway between black and white in light that
+/// which `model` has at its edges.
+pub(super) fn linear_power(model: &CornerModel) -> f64 {
+    let [black, white] = black_and_white(model);
+    let edge = (model.level + model.gamma_term).max(DARKEST);
+    // Above the root, light at the edge is less than the mean of black and white.
+    let mean_less_edge = |power: f64| (black / edge).powf(power) + (white / edge).powf(power) - 2.0;
+    let [mut low, mut high] = POWERS;
+    if mean_less_edge(high) < 0.0 {
+        return high;
+    }
+    for _ in 0..20 {
+        let middle = 0.5 * (low + high);
+        if mean_less_edge(middle) < 0.0 { low = middle } else { high = middle }
+    }
+    high
+}
