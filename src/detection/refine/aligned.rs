@@ -31,10 +31,10 @@ pub(super) struct Aligned {
 }
 
 impl Refiner {
-    /// Replaces those of `refined` by where the print is most like the image, from where corners
-    /// are known by now, that are less certain; all of them if that are more than half of
-    /// `corners`: edges that blur runs into each other are mistaken for others, and state a
-    /// deviation as if they were not. Whether it is all of them.
+    /// Finds where the print is most like the image, from where corners are known by now. It
+    /// replaces those of `refined` that are less certain, and all of them where those are more than
+    /// half: edges that blur runs into each other are mistaken for others, and state a deviation as
+    /// if they were not. Whether all are replaced.
     pub(super) fn align_print(
         &mut self,
         image: GrayView<'_>,

@@ -107,6 +107,7 @@ impl AlignedSamples {
                 let weight = (-0.5 * (at[0] * at[0] + at[1] * at[1]) / (spread * spread)).exp();
                 all += weight;
                 let first = [0, 1].map(|k| window.origin[k] + bin as f64 * at[k] - half);
+                let first = first.map(f64::round);
                 let Some(mean_light) = mean_of(image, first, bin, &self.lights) else { continue };
                 let gray = match bin {
                     1 => f64::from(image.row(first[1] as usize)[first[0] as usize]),
@@ -273,7 +274,7 @@ impl AlignmentSums {
 /// The mean of the `lights` of `bin` × `bin` pixels from `first` on; `None` where they are not in
 /// the image.
 fn mean_of(image: GrayView<'_>, first: [f64; 2], bin: usize, lights: &[f64]) -> Option<f64> {
-    let [x, y] = first.map(f64::round);
+    let [x, y] = first;
     if x < 0.0 || y < 0.0 {
         return None;
     }
