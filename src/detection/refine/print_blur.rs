@@ -4,7 +4,8 @@
 use nalgebra::{Matrix2, Vector2};
 
 /// Newton's steps: each leaves the square of what was left. And the longest one, in those over
-/// which slopes are taken: 30 % of a width, over which a misfit is near enough to a parabola.
+/// which slopes are taken: 30 % of a width. Swept: half and twice of it give the same corners to
+/// 0.001 px.
 const NEWTON_STEPS: usize = 3;
 const MOST_STEPS: f64 = 10.0;
 /// Standard deviations of the blur beyond which nothing of an edge is rendered.
@@ -168,8 +169,8 @@ pub(super) fn least_near(
         };
         let step = step.map(|part| part.clamp(-MOST_STEPS, MOST_STEPS));
         let to = |part: f64| [0, 1].map(|k| at[k] + part * step[k] * steps[k]);
-        let tried = [1.0, 0.25].map(|part| (to(part), value(to(part))));
-        let Some((next, smaller)) = tried.into_iter().find(|(_, it)| *it < least) else { break };
+        let mut tried = [1.0, 0.25].into_iter().map(|part| (to(part), value(to(part))));
+        let Some((next, smaller)) = tried.find(|(_, it)| *it < least) else { break };
         (at, least) = (next, smaller);
     }
     (at, least)
