@@ -8,12 +8,13 @@ use image::{DynamicImage, RgbImage};
 pub use crate::imaging::decode_error::{DecodeError, MAX_PIXELS};
 
 use crate::geometry::pixel::ImageSize;
+use crate::imaging::deep_gray::{bits_to_drop, upper_8_bits};
 use crate::imaging::frame::{Frame, PixelFormat};
 use crate::imaging::gray::{Gray16Image, GrayImage, GrayView};
 use crate::imaging::jpeg;
 use crate::imaging::pixel_format::{
-    buffer_length, luma_row_from_bgr, luma_row_from_rgb, luma_row_from_upper_bytes,
-    luma_row_from_yuyv, rgb_row_from_nv12, rgb_row_from_uyvy, rgb_row_from_yuyv,
+    buffer_length, luma_row_from_bgr, luma_row_from_rgb, luma_row_from_uyvy, luma_row_from_yuyv,
+    rgb_row_from_nv12, rgb_row_from_uyvy, rgb_row_from_yuyv,
 };
 use crate::imaging::{plausible, png};
 
@@ -35,7 +36,7 @@ pub fn file_size(bytes: &[u8]) -> Result<ImageSize, DecodeError> {
 /// The 8-bit luma of a frame, into `luma`, whose buffer is used again.
 ///
 /// JPEG: its Y alone, nothing else is decoded. Colors: BT.601, as OpenCV's `cvtColor`. 16-bit
-/// gray: the upper byte.
+/// gray: the upper 8 of the bits in use, as many sensors fill only the lower 10 to 14.
 ///
 /// # Errors
 /// [`DecodeError`], never a panic, whatever the bytes; `luma` then holds nothing of use.
@@ -47,9 +48,15 @@ pub fn luma(frame: &Frame, luma: &mut GrayImage) -> Result<(), DecodeError> {
         PixelFormat::Mono8 | PixelFormat::Nv12 => {
             luma_from_rows(frame, luma, |row, out| out.copy_from_slice(row))
         }
-        PixelFormat::Mono16 | PixelFormat::Uyvy => {
-            luma_from_rows(frame, luma, luma_row_from_upper_bytes)
+        PixelFormat::Mono16 => {
+            let dropped = bits_to_drop_of(frame)?;
+            luma_from_rows(frame, luma, |row, out| {
+                gray16_values(row)
+                    .zip(out)
+                    .for_each(|(value, out)| *out = upper_8_bits(value, dropped));
+            })
         }
+        PixelFormat::Uyvy => luma_from_rows(frame, luma, luma_row_from_uyvy),
         PixelFormat::Yuyv => luma_from_rows(frame, luma, luma_row_from_yuyv),
         PixelFormat::Rgb8 => luma_from_rows(frame, luma, luma_row_from_rgb),
         PixelFormat::Bgr8 => luma_from_rows(frame, luma, luma_row_from_bgr),
@@ -77,11 +84,14 @@ pub fn rgb(frame: &Frame) -> Result<RgbImage, DecodeError> {
                 pixel.fill(*value);
             }
         }),
-        PixelFormat::Mono16 => rgb_from_rows(frame, |row, out| {
-            for (value, pixel) in row.chunks_exact(2).zip(out.chunks_exact_mut(3)) {
-                pixel.fill(value[1]);
-            }
-        }),
+        PixelFormat::Mono16 => {
+            let dropped = bits_to_drop_of(frame)?;
+            rgb_from_rows(frame, |row, out| {
+                for (value, pixel) in gray16_values(row).zip(out.chunks_exact_mut(3)) {
+                    pixel.fill(upper_8_bits(value, dropped));
+                }
+            })
+        }
         PixelFormat::Yuyv => rgb_from_rows(frame, rgb_row_from_yuyv),
         PixelFormat::Uyvy => rgb_from_rows(frame, rgb_row_from_uyvy),
         PixelFormat::Nv12 => rgb_from_nv12(frame),
@@ -108,8 +118,7 @@ pub fn gray16(frame: &Frame) -> Result<Option<Gray16Image>, DecodeError> {
             _ => None,
         }),
         PixelFormat::Mono16 => {
-            let values = rows_of(frame)?.flat_map(|row| row.chunks_exact(2));
-            let values = values.map(|pair| u16::from_le_bytes([pair[0], pair[1]])).collect();
+            let values = rows_of(frame)?.flat_map(gray16_values).collect();
             Ok(Gray16Image::from_raw(frame.size.width, frame.size.height, values))
         }
         _ => Ok(None),
@@ -180,8 +189,9 @@ fn luma_from_image(image: &DynamicImage, luma: &mut GrayImage) -> Result<(), Dec
     match image {
         DynamicImage::ImageLuma8(gray) => luma.pixels_mut().copy_from_slice(gray),
         DynamicImage::ImageLuma16(gray) => {
+            let dropped = bits_to_drop(gray.iter().copied());
             for (value, out) in gray.iter().zip(luma.pixels_mut()) {
-                *out = (value >> 8) as u8;
+                *out = upper_8_bits(*value, dropped);
             }
         }
         DynamicImage::ImageRgb8(rgb) => luma_row_from_rgb(rgb, luma.pixels_mut()),
@@ -190,10 +200,19 @@ fn luma_from_image(image: &DynamicImage, luma: &mut GrayImage) -> Result<(), Dec
     Ok(())
 }
 
+/// The values of a row of 16-bit little-endian gray.
+fn gray16_values(row: &[u8]) -> impl Iterator<Item = u16> {
+    row.chunks_exact(2).map(|pair| u16::from_le_bytes([pair[0], pair[1]]))
+}
+
+fn bits_to_drop_of(frame: &Frame) -> Result<u32, DecodeError> {
+    Ok(bits_to_drop(rows_of(frame)?.flat_map(gray16_values)))
+}
+
 fn luma_from_rows(
     frame: &Frame,
     luma: &mut GrayImage,
-    convert: fn(&[u8], &mut [u8]),
+    convert: impl Fn(&[u8], &mut [u8]),
 ) -> Result<(), DecodeError> {
     let rows = rows_of(frame)?;
     luma.reshape(frame.size.width as usize, frame.size.height as usize);
@@ -204,7 +223,10 @@ fn luma_from_rows(
     Ok(())
 }
 
-fn rgb_from_rows(frame: &Frame, convert: fn(&[u8], &mut [u8])) -> Result<RgbImage, DecodeError> {
+fn rgb_from_rows(
+    frame: &Frame,
+    convert: impl Fn(&[u8], &mut [u8]),
+) -> Result<RgbImage, DecodeError> {
     let rows = rows_of(frame)?;
     let width = frame.size.width as usize;
     let mut pixels = vec![0; width * frame.size.height as usize * 3];

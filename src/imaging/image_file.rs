@@ -34,7 +34,7 @@ pub fn png_from_luma(image: GrayView<'_>) -> Vec<u8> {
 }
 
 /// The frame that an image's file holds. JPEG and PNG are kept as they came; a binary PGM or PPM,
-/// BMP, TIFF and WebP are unpacked to mono8, rgb8, or, with 16 bits, to depth. A file that cannot
+/// BMP, TIFF and WebP are unpacked to mono8, rgb8, or, with 16 bits, to mono16 or depth. A file that cannot
 /// be read as any of them becomes a frame all the same, of size 0×0, and decoding it says what is
 /// wrong: a damaged image is one bad frame, not the end of a recording.
 pub fn frame_from_file(sensor: SensorKind, bytes: Vec<u8>) -> Frame {
@@ -76,10 +76,9 @@ fn frame_from_unpacked(sensor: SensorKind, bytes: &[u8]) -> Option<Frame> {
     let size = check_size(ImageSize::new(width, height), bytes_per_pixel, bytes.len()).ok()?;
     let image = DynamicImage::from_decoder(decoder).ok()?;
     let (format, pixels) = match image {
-        DynamicImage::ImageLuma16(depth) if sensor == SensorKind::Depth => (
-            PixelFormat::Depth16,
-            depth.into_raw().into_iter().flat_map(u16::to_le_bytes).collect(),
-        ),
+        DynamicImage::ImageLuma16(deep) => {
+            (deep_format(sensor), deep.into_raw().into_iter().flat_map(u16::to_le_bytes).collect())
+        }
         image if image.color().has_color() => (PixelFormat::Rgb8, image.into_rgb8().into_raw()),
         image => (PixelFormat::Mono8, image.into_luma8().into_raw()),
     };
@@ -87,8 +86,13 @@ fn frame_from_unpacked(sensor: SensorKind, bytes: &[u8]) -> Option<Frame> {
     Some(Frame { sensor, size, format, stride, bytes: Arc::from(pixels) })
 }
 
-/// A binary PGM (P5) or PPM (P6). Brightnesses are scaled by the maximum that it states; depths are
-/// kept as they are: they are numbers.
+/// What 16-bit gray of `sensor` means.
+fn deep_format(sensor: SensorKind) -> PixelFormat {
+    if sensor == SensorKind::Depth { PixelFormat::Depth16 } else { PixelFormat::Mono16 }
+}
+
+/// A binary PGM (P5) or PPM (P6). Brightnesses are scaled by the maximum that it states, unless that
+/// is all of 16 bits, of which few sensors fill all; depths are kept as they are: they are numbers.
 fn frame_from_pnm(sensor: SensorKind, bytes: &[u8]) -> Option<Frame> {
     let channels = match bytes.get(..2)? {
         b"P5" => 1,
@@ -106,10 +110,9 @@ fn frame_from_pnm(sensor: SensorKind, bytes: &[u8]) -> Option<Frame> {
     let pixels = &pixels[..length];
     let (format, pixels) = match (channels, deep) {
         (1, false) => (PixelFormat::Mono8, pixels.to_vec()),
-        (1, true) if sensor == SensorKind::Depth => (
-            PixelFormat::Depth16,
-            pixels.chunks_exact(2).flat_map(|two| [two[1], two[0]]).collect(),
-        ),
+        (1, true) if sensor == SensorKind::Depth || maximum == u32::from(u16::MAX) => {
+            (deep_format(sensor), pixels.chunks_exact(2).flat_map(|two| [two[1], two[0]]).collect())
+        }
         (1, true) => (PixelFormat::Mono8, brightnesses(pixels, maximum)),
         (_, false) => (PixelFormat::Rgb8, pixels.to_vec()),
         (_, true) => (PixelFormat::Rgb8, brightnesses(pixels, maximum)),
@@ -167,6 +170,12 @@ mod tests {
         );
         let image = frame_from_file(SensorKind::Infrared, deep);
         assert_eq!((image.format, &*image.bytes), (PixelFormat::Mono8, &[16, 0xff][..]));
+        let lower_bits =
+            frame_from_file(SensorKind::Color, b"P5 2 1 65535\n\x01\x02\x0f\xfe".to_vec());
+        assert_eq!(
+            (lower_bits.format, lower_bits.stride, &*lower_bits.bytes),
+            (PixelFormat::Mono16, 4, &[2, 1, 0xfe, 0x0f][..])
+        );
     }
 
     #[test]
@@ -191,11 +200,16 @@ mod tests {
         DynamicImage::ImageLuma16(image::ImageBuffer::from_raw(2, 1, vec![258, 65_534]).unwrap())
             .write_to(&mut file, ImageFormat::Tiff)
             .unwrap();
-        let depth = frame_from_file(SensorKind::Depth, file.into_inner());
-        assert_eq!(
-            (depth.format, depth.stride, &*depth.bytes),
-            (PixelFormat::Depth16, 4, &[2, 1, 0xfe, 0xff][..])
-        );
+        let file = file.into_inner();
+        for (sensor, format) in
+            [(SensorKind::Depth, PixelFormat::Depth16), (SensorKind::Infrared, PixelFormat::Mono16)]
+        {
+            let frame = frame_from_file(sensor, file.clone());
+            assert_eq!(
+                (frame.format, frame.stride, &*frame.bytes),
+                (format, 4, &[2, 1, 0xfe, 0xff][..])
+            );
+        }
     }
 
     #[test]

@@ -5,6 +5,7 @@ pub mod board_drawing;
 mod color_view;
 pub mod decode;
 mod decode_error;
+pub mod deep_gray;
 mod depth_conversion;
 pub mod depth_encoding;
 pub mod depth_image;

@@ -76,9 +76,9 @@ pub fn luma_row_from_bgr(bgr: &[u8], luma: &mut [u8]) {
     }
 }
 
-/// Luma of a row of 16-bit little-endian gray (its upper byte), or of interleaved U Y V Y.
-pub fn luma_row_from_upper_bytes(row: &[u8], luma: &mut [u8]) {
-    for (pair, out) in row.chunks_exact(2).zip(luma) {
+/// Luma of a row of interleaved U Y V Y.
+pub fn luma_row_from_uyvy(uyvy: &[u8], luma: &mut [u8]) {
+    for (pair, out) in uyvy.chunks_exact(2).zip(luma) {
         *out = pair[1];
     }
 }

@@ -3,6 +3,7 @@
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::bayer::{BayerPattern, rgb_from_bayer};
 use crate::imaging::decode::file_size;
+use crate::imaging::deep_gray::{bits_to_drop, upper_8_bits};
 use crate::imaging::depth_image::DepthImage;
 use crate::imaging::frame::{Frame, PixelFormat, SensorKind};
 use crate::recording::bag::storage::{BagTopic, RosHeader};
@@ -151,11 +152,16 @@ impl<'a> RawImage<'a> {
         pattern: BayerPattern,
         bytes_per_pixel: usize,
     ) -> Result<Frame, String> {
-        // Of 16 bits the upper byte.
-        let upper = if bytes_per_pixel == 2 && !self.big_endian { 1 } else { 0 };
-        let of_row =
-            |row: &'a [u8]| row.chunks_exact(bytes_per_pixel).map(move |pixel| pixel[upper]);
-        let mosaic: Vec<u8> = self.rows(bytes_per_pixel)?.flat_map(of_row).collect();
+        let mosaic: Vec<u8> = if bytes_per_pixel == 1 {
+            self.rows(1)?.flatten().copied().collect()
+        } else {
+            let upper = usize::from(!self.big_endian);
+            let value = |two: &[u8]| u16::from_be_bytes([two[upper], two[1 - upper]]);
+            let values: Vec<u16> =
+                self.rows(2)?.flat_map(|row| row.chunks_exact(2).map(value)).collect();
+            let dropped = bits_to_drop(values.iter().copied());
+            values.into_iter().map(|value| upper_8_bits(value, dropped)).collect()
+        };
         let rgb = rgb_from_bayer(&mosaic, self.size, pattern);
         Ok(self.with(sensor, PixelFormat::Rgb8, self.size.width as usize * 3, rgb))
     }
