@@ -11,9 +11,8 @@ use crate::capture::{CaptureError, FrameSource};
 use crate::cli::{Failure, output, progress};
 use crate::config::{CameraConfig, Config, Overrides};
 use crate::daemon::sources::opener_of;
-use crate::geometry::lens::Lens;
-use crate::geometry::pixel::ImageSize;
-use crate::imaging::frame::{FrameSet, SensorKind};
+use crate::imaging::factory::FactoryCalibration;
+use crate::imaging::frame::FrameSet;
 use crate::recording::{McapWriter, RecordingError, RepairedRecording, Ros2Writer, repair};
 
 /// How long one wait for a frame is: a request to stop is seen between two.
@@ -77,16 +76,14 @@ impl Writer {
         }
     }
 
-    fn write_lens(
+    fn write_factory(
         &mut self,
-        sensor: SensorKind,
-        size: ImageSize,
-        lens: &Lens,
+        factory: &FactoryCalibration,
         utc_ns: i64,
     ) -> Result<(), RecordingError> {
         match self {
-            Self::Foxglove(writer) => writer.write_lens(sensor, size, lens, utc_ns),
-            Self::Ros2(writer) => writer.write_lens(sensor, size, lens, utc_ns),
+            Self::Foxglove(writer) => writer.write_factory(factory, utc_ns),
+            Self::Ros2(writer) => writer.write_factory(factory, utc_ns),
         }
     }
 
@@ -148,18 +145,21 @@ pub fn run(args: &Args) -> Result<(), Failure> {
 }
 
 fn repaired(path: &Path, json: bool) -> Result<(), Failure> {
-    let RepairedRecording { frame_sets, fault } = repair(path).map_err(Failure::failed)?;
+    let repaired = repair(path).map_err(Failure::failed)?;
+    let RepairedRecording { frame_sets, fault, original } = repaired;
     let fault = fault.map(|fault| fault.to_string());
     if json {
         return output::print_json(&serde_json::json!({
-            "path": path, "frame_sets": frame_sets, "fault": fault
+            "path": path, "frame_sets": frame_sets, "fault": fault, "original": original
         }));
     }
     let file = path.display();
     output::print_line(&match fault {
         None => format!("{file}: {frame_sets} frame sets, with its index"),
         Some(fault) => {
-            format!("{file}: {frame_sets} frame sets kept, with an index; it was: {fault}")
+            let kept = original.map(|kept| format!("; it is kept as {}", kept.display()));
+            let kept = kept.unwrap_or_default();
+            format!("{file}: {frame_sets} frame sets kept, with an index; it was: {fault}{kept}")
         }
     })
 }
@@ -186,7 +186,8 @@ fn record(
         };
         if started.is_none() {
             started = Some(Instant::now());
-            write_factory_lenses(source, writer, set.host_time.utc_ns)?;
+            let factory = source.description().factory;
+            writer.write_factory(&factory, set.host_time.utc_ns).map_err(Failure::failed)?;
         }
         recorded.lost += next_sequence.map_or(0, |next| set.sequence.saturating_sub(next));
         next_sequence = Some(set.sequence + 1);
@@ -195,27 +196,6 @@ fn record(
         spinner.inc(1);
     }
     spinner.finish_and_clear();
-    Ok(())
-}
-
-fn write_factory_lenses(
-    source: &dyn FrameSource,
-    writer: &mut Writer,
-    utc_ns: i64,
-) -> Result<(), Failure> {
-    for stated in source.description().factory.sensors {
-        if let Some(lens) = &stated.lens {
-            writer
-                .write_lens(stated.sensor, stated.image_size, lens, utc_ns)
-                .map_err(Failure::failed)?;
-        }
-        let others = stated.color_from_sensor.filter(|_| stated.sensor != SensorKind::Color);
-        if let Some((color_from_sensor, Writer::Foxglove(writer))) = others.zip(Some(&mut *writer))
-        {
-            let written = writer.write_pose(stated.sensor, &color_from_sensor, utc_ns);
-            written.map_err(Failure::failed)?;
-        }
-    }
     Ok(())
 }
 

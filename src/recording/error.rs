@@ -32,6 +32,15 @@ pub enum RecordingError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// Depth without a meaning in a format that has it in meters.
+    #[error(
+        "{}: its depth is disparity of unknown meaning, and ROS has depth in meters: record it without --ros2",
+        path.display()
+    )]
+    NoMeters {
+        /// The bag that was to be written.
+        path: PathBuf,
+    },
     /// An MCAP file that ends too early.
     #[error(
         "{}: the recording was cut off: {frame_sets} whole frames could be read, what follows is lost; copy it again, or go on with these",
@@ -108,6 +117,7 @@ impl RecordingError {
         match &mut self {
             Self::Missing { path }
             | Self::NoImages { path }
+            | Self::NoMeters { path }
             | Self::Io { path, .. }
             | Self::Cut { path, .. }
             | Self::Damaged { path, .. }

@@ -6,16 +6,21 @@ use std::path::{Path, PathBuf};
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
+use crate::imaging::depth_encoding::DepthEncoding;
 use crate::imaging::factory::{FactoryCalibration, FactorySensor, StatedLens};
 use crate::imaging::frame::{Frame, FrameSet, SensorKind};
 use crate::imaging::timestamp::{DeviceTime, HostTime};
 use crate::recording::RecordingError;
+use crate::recording::depth_record::{self, DEPTH_ENCODING};
 use crate::recording::messages::{Topic, decode_frame, decode_lens, decode_pose};
 use crate::recording::records::{McapRecord, MessageHeader, RecordReader};
 use crate::recording::topic_names::names_topic;
 
 /// Frames of different sensors that come within this time are taken together.
 const TOGETHER_NS: u64 = 15_000_000;
+
+/// Metadata records that are kept; Plumb writes two.
+const MOST_METADATA: usize = 64;
 
 /// An MCAP file being read: frame set by frame set, of the one camera it holds.
 ///
@@ -32,6 +37,9 @@ pub struct McapReader {
     lenses: BTreeMap<SensorKind, (ImageSize, Lens)>,
     /// Where sensors are, as color_from_sensor.
     poses: BTreeMap<SensorKind, Pose>,
+    depth_encoding: Option<DepthEncoding>,
+    /// Metadata records of others, by name.
+    metadata: BTreeMap<String, BTreeMap<String, String>>,
     gathering: Option<Gathering>,
     frame_sets: usize,
     frame_set_count: Option<usize>,
@@ -77,6 +85,8 @@ impl McapReader {
             other_topics: BTreeSet::new(),
             lenses: BTreeMap::new(),
             poses: BTreeMap::new(),
+            depth_encoding: None,
+            metadata: BTreeMap::new(),
             gathering: None,
             frame_sets: 0,
             frame_set_count,
@@ -113,15 +123,9 @@ impl McapReader {
         self.frame_set_count
     }
 
-    /// What the device stated of a sensor's lens, as far as the file has been read.
-    pub fn factory_lens(&self, sensor: SensorKind) -> Option<(ImageSize, Lens)> {
-        self.lenses.get(&sensor).copied()
-    }
-
-    /// Where the device stated a sensor to be (`color_from_sensor`), as far as the file has been
-    /// read.
-    pub fn factory_pose(&self, sensor: SensorKind) -> Option<Pose> {
-        self.poses.get(&sensor).copied()
+    /// Metadata records besides those of the device, as far as the file has been read.
+    pub(super) fn metadata(&self) -> &BTreeMap<String, BTreeMap<String, String>> {
+        &self.metadata
     }
 
     /// What the recorded device stated of its sensors before the first frame.
@@ -143,10 +147,10 @@ impl McapReader {
             lens: Some(*lens),
             color_from_sensor: match sensor {
                 SensorKind::Color => Some(Pose::identity()),
-                other => ahead.factory_pose(*other),
+                other => ahead.poses.get(other).copied(),
             },
         });
-        FactoryCalibration { sensors: sensors.collect(), depth_encoding: None }
+        FactoryCalibration { sensors: sensors.collect(), depth_encoding: ahead.depth_encoding }
     }
 
     /// The next frames taken together; `None` after the last.
@@ -221,6 +225,12 @@ impl McapReader {
                 }
                 None => {}
             },
+            McapRecord::Metadata { name, entries } if name == DEPTH_ENCODING => {
+                self.depth_encoding = depth_record::encoding(&entries);
+            }
+            McapRecord::Metadata { name, entries } if self.metadata.len() < MOST_METADATA => {
+                self.metadata.insert(name, entries);
+            }
             _ => {}
         }
         Ok(None)

@@ -10,8 +10,10 @@ use mcap::records::MessageHeader;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
+use crate::imaging::factory::FactoryCalibration;
 use crate::imaging::frame::{FrameSet, SensorKind};
 use crate::recording::RecordingError;
+use crate::recording::depth_record::{self, DEPTH_ENCODING};
 use crate::recording::messages::{Encoded, Topic, encode_frame, encode_lens, encode_pose};
 
 /// An MCAP file being written: one topic a sensor, chunks of about a megabyte, indexed when
@@ -86,6 +88,31 @@ impl McapWriter {
             self.chunk_began_ns = None;
         }
         Ok(())
+    }
+
+    /// Notes what the device states of its sensors: lenses, where they are, and what readings of
+    /// depth mean. To be called before the first frame, so that readers know it by then.
+    ///
+    /// # Errors
+    /// As [`Self::write`].
+    pub fn write_factory(
+        &mut self,
+        factory: &FactoryCalibration,
+        utc_ns: i64,
+    ) -> Result<(), RecordingError> {
+        for stated in &factory.sensors {
+            if let Some(lens) = &stated.lens {
+                self.write_lens(stated.sensor, stated.image_size, lens, utc_ns)?;
+            }
+            let others = stated.color_from_sensor.filter(|_| stated.sensor != SensorKind::Color);
+            if let Some(color_from_sensor) = others {
+                self.write_pose(stated.sensor, &color_from_sensor, utc_ns)?;
+            }
+        }
+        match &factory.depth_encoding {
+            Some(encoding) => self.write_metadata(DEPTH_ENCODING, depth_record::entries(encoding)),
+            None => Ok(()),
+        }
     }
 
     /// Notes what the device states of a sensor's lens.

@@ -5,6 +5,7 @@
 //! was cut off gives all that can be read before its error.
 
 mod bag;
+mod depth_record;
 mod error;
 mod fields;
 mod folder;

@@ -1,8 +1,10 @@
 //! Makes a recording whole that was cut off: what can be read of it, with its index.
 
-use std::path::Path;
+use std::fs;
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
 
-use crate::imaging::frame::{FrameSet, SensorKind};
+use crate::imaging::frame::FrameSet;
 use crate::recording::RecordingError;
 use crate::recording::mcap_reader::McapReader;
 use crate::recording::mcap_writer::McapWriter;
@@ -14,23 +16,25 @@ pub struct RepairedRecording {
     pub frame_sets: usize,
     /// Where it was cut off or damaged; `None` for one that was whole and stays as it is.
     pub fault: Option<RecordingError>,
+    /// Where the damaged file lies now; `None` for one that was whole, or was never finished, of which
+    /// nothing follows the fault.
+    pub original: Option<PathBuf>,
 }
 
 /// Reads the recording at `path` as far as it can be read, and puts a whole one with its index in
-/// its place; one that is whole is left as it is.
+/// its place; one that is whole is left as it is. One that was finished and is damaged in its middle
+/// is kept beside it: what follows the damage is in no copy.
 ///
 /// # Errors
 /// [`RecordingError`] for what is no recording or holds no frames, and what the system refuses; the
 /// file is then as it was.
 pub fn repair(path: &Path) -> Result<RepairedRecording, RecordingError> {
-    let refused = |source| RecordingError::Io { path: path.to_owned(), source };
     let made = path.with_extension("repaired");
     let mut reader = McapReader::open(path, &[])?;
     let has_index = reader.frame_set_count().is_some();
-    let first = reader.next_frame_set()?;
+    let mut copied = Copied { next: reader.next_frame_set()?, frame_sets: 0 };
     let camera = reader.camera().unwrap_or_default().to_owned();
     let mut writer = McapWriter::create(&made, &camera)?;
-    let mut copied = Copied { next: first, frame_sets: 0, lenses: Vec::new() };
     let outcome = copied.copy(&mut reader, &mut writer);
     let finished = writer.finish();
     let fault = match outcome {
@@ -38,15 +42,35 @@ pub fn repair(path: &Path) -> Result<RepairedRecording, RecordingError> {
         Err(fault @ (RecordingError::Cut { .. } | RecordingError::Damaged { .. })) => Some(fault),
         Err(error) => return discard(&made, error),
     };
-    if let Err(error) = finished {
+    let is_damaged = has_index && matches!(fault, Some(RecordingError::Damaged { .. }));
+    let original = is_damaged.then(|| path.with_extension("damaged.mcap"));
+    let is_whole = fault.is_none() && has_index;
+    let replaced = finished.and_then(|()| match is_whole {
+        true => fs::remove_file(&made).map_err(|source| refused(&made, source)),
+        false => replace(path, &made, original.as_deref()),
+    });
+    if let Err(error) = replaced {
         return discard(&made, error);
     }
-    if fault.is_none() && has_index {
-        std::fs::remove_file(&made).map_err(refused)?;
-    } else {
-        std::fs::rename(&made, path).map_err(refused)?;
+    Ok(RepairedRecording { frame_sets: copied.frame_sets, fault, original })
+}
+
+/// Puts `made` in the place of the file at `path`, which is kept as `original` where that is given.
+fn replace(path: &Path, made: &Path, original: Option<&Path>) -> Result<(), RecordingError> {
+    let synced = fs::File::open(made).and_then(|file| file.sync_all());
+    synced.map_err(|source| refused(made, source))?;
+    if let Some(original) = original {
+        if original.exists() {
+            // What an earlier repair kept.
+            return Err(refused(original, ErrorKind::AlreadyExists.into()));
+        }
+        fs::rename(path, original).map_err(|source| refused(path, source))?;
     }
-    Ok(RepairedRecording { frame_sets: copied.frame_sets, fault })
+    fs::rename(made, path).map_err(|source| refused(path, source))
+}
+
+fn refused(path: &Path, source: std::io::Error) -> RecordingError {
+    RecordingError::Io { path: path.to_owned(), source }
 }
 
 fn discard<T>(made: &Path, error: RecordingError) -> Result<T, RecordingError> {
@@ -59,7 +83,6 @@ fn discard<T>(made: &Path, error: RecordingError) -> Result<T, RecordingError> {
 struct Copied {
     next: Option<FrameSet>,
     frame_sets: usize,
-    lenses: Vec<SensorKind>,
 }
 
 impl Copied {
@@ -68,18 +91,22 @@ impl Copied {
         reader: &mut McapReader,
         writer: &mut McapWriter,
     ) -> Result<(), RecordingError> {
+        if let Some(first) = &self.next {
+            writer.write_factory(&reader.factory(), first.host_time.utc_ns)?;
+        }
+        let copied = self.copy_frames(reader, writer);
+        for (name, entries) in reader.metadata() {
+            writer.write_metadata(name, entries.clone())?;
+        }
+        copied
+    }
+
+    fn copy_frames(
+        &mut self,
+        reader: &mut McapReader,
+        writer: &mut McapWriter,
+    ) -> Result<(), RecordingError> {
         while let Some(set) = self.next.take() {
-            for sensor in SensorKind::ALL {
-                if let Some((size, lens)) = reader.factory_lens(sensor)
-                    && !self.lenses.contains(&sensor)
-                {
-                    writer.write_lens(sensor, size, &lens, set.host_time.utc_ns)?;
-                    if let Some(color_from_sensor) = reader.factory_pose(sensor) {
-                        writer.write_pose(sensor, &color_from_sensor, set.host_time.utc_ns)?;
-                    }
-                    self.lenses.push(sensor);
-                }
-            }
             writer.write(&set)?;
             self.frame_sets += 1;
             self.next = reader.next_frame_set()?;
@@ -90,12 +117,16 @@ impl Copied {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
     use std::sync::Arc;
 
     use super::*;
     use crate::geometry::pixel::ImageSize;
-    use crate::imaging::frame::{Frame, PixelFormat};
+    use crate::imaging::depth_encoding::DepthEncoding;
+    use crate::imaging::factory::FactoryCalibration;
+    use crate::imaging::frame::{Frame, PixelFormat, SensorKind};
     use crate::imaging::timestamp::HostTime;
+    use crate::recording::mcap_reader::metadata;
 
     /// Forty frame sets, ten a second.
     fn frame_sets() -> Vec<FrameSet> {
@@ -150,6 +181,42 @@ mod tests {
                 sets[..repaired.frame_sets].iter().map(|set| format!("{set:?}")).collect();
             assert_eq!(read(&copy), expected);
         }
+    }
+
+    /// A byte in the middle of the pixels is wrong: the first part is read, the rest is not lost.
+    #[test]
+    fn a_damaged_one_is_kept_beside_what_could_be_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.mcap");
+        let mut writer = McapWriter::create(&path, "front").unwrap();
+        let depth_encoding = Some(DepthEncoding::metric(1e-4));
+        let factory = FactoryCalibration { sensors: Vec::new(), depth_encoding };
+        writer.write_factory(&factory, frame_sets()[0].host_time.utc_ns).unwrap();
+        writer
+            .write_metadata("plumb.truth", BTreeMap::from([("seed".into(), "7".into())]))
+            .unwrap();
+        frame_sets().iter().for_each(|set| writer.write(set).unwrap());
+        writer.finish().unwrap();
+        let mut bytes = fs::read(&path).unwrap();
+        let at = bytes.len() * 2 / 3;
+        bytes[at] ^= 0x55;
+        fs::write(&path, &bytes).unwrap();
+        let repaired = repair(&path).unwrap();
+        assert!(matches!(repaired.fault, Some(RecordingError::Damaged { .. })), "{repaired:?}");
+        assert!((1..40).contains(&repaired.frame_sets), "{repaired:?}");
+        let original = repaired.original.unwrap();
+        assert_eq!(fs::read(&original).unwrap(), bytes);
+        assert_eq!(read(&path).len(), repaired.frame_sets);
+        assert_eq!(McapReader::open(&path, &[]).unwrap().factory(), factory);
+        assert_eq!(metadata(&path, "plumb.truth").unwrap().unwrap()["seed"], "7");
+        // What was kept is not written over by the next one.
+        fs::write(&path, &bytes).unwrap();
+        assert!(matches!(repair(&path), Err(RecordingError::Io { .. })));
+        assert_eq!(
+            (fs::read(&path).unwrap(), fs::read(&original).unwrap()),
+            (bytes.clone(), bytes)
+        );
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2, "nothing is left behind");
     }
 
     #[test]

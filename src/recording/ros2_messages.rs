@@ -3,9 +3,11 @@
 //! The color sensor of camera `front` is `/front/image_raw` in `front_optical_frame` (REP 103),
 //! its others `/front/depth/image_rect_raw`, `/front/infra1/image_rect_raw` and so on.
 
+use crate::geometry::depth_camera::DepthReading;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::rectification::RectifiedCamera;
+use crate::imaging::depth_image::DepthImage;
 use crate::imaging::frame::{Frame, PixelFormat, SensorKind};
 
 pub(super) const IMAGE: &str = "sensor_msgs/msg/Image";
@@ -47,6 +49,35 @@ pub(super) fn image(frame: &Frame, camera: &str, utc_ns: i64) -> Option<Ros2Mess
     cdr.u32(u32::try_from(frame.stride).ok()?);
     cdr.bytes(&[&frame.bytes]);
     Some(Ros2Message { topic: base, type_name: IMAGE, bytes: cdr.0 })
+}
+
+/// The depth image of `camera` as 32FC1, in meters; what is no distance is NaN (REP 118). `None` for
+/// what is no depth image.
+pub(super) fn depth_in_meters(
+    frame: &Frame,
+    camera: &str,
+    utc_ns: i64,
+    reading: DepthReading,
+    invalid: Option<u16>,
+) -> Option<Ros2Message> {
+    let depth = DepthImage::from_frame(frame).ok()?;
+    let meters = |value: &u16| {
+        let inverse = reading.inverse_depth(f64::from(*value));
+        inverse
+            .filter(|_| Some(*value) != invalid)
+            .map_or(f32::NAN, |inverse| (1.0 / inverse) as f32)
+    };
+    let data: Vec<u8> = depth.readings().iter().flat_map(|v| meters(v).to_le_bytes()).collect();
+    let size = depth.size();
+    let mut cdr = Cdr::with_header(utc_ns, &frame_id(camera, frame.sensor));
+    cdr.u32(size.height);
+    cdr.u32(size.width);
+    cdr.text("32FC1");
+    cdr.0.push(0);
+    cdr.u32(size.width.checked_mul(4)?);
+    cdr.bytes(&[&data]);
+    let topic = format!("{}/{}", namespace(camera, frame.sensor), image_name(frame.sensor));
+    Some(Ros2Message { topic, type_name: IMAGE, bytes: cdr.0 })
 }
 
 /// What is stated of a sensor's lens, as `camera_info`; `None` for a model that ROS has not. How
