@@ -27,6 +27,7 @@ use crate::pipeline::recording_notes::recording_document;
         (status = 409, description = "the camera is being recorded already", body = Problem, content_type = "application/problem+json"),
         BodyRefusals,
         (status = 422, description = "a limit that cannot be", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "the disk is fuller than `[store] min_free_mb` lets it become; too many connections, or the daemon is stopping", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn start(
     State(shared): State<Arc<Shared>>,
@@ -129,6 +130,7 @@ impl From<RecordError> for Problem {
             RecordError::Busy { .. } | RecordError::Over { .. } | RecordError::GoesOn { .. } => {
                 Self::conflict(detail)
             }
+            RecordError::NoRoom { .. } => Self::unavailable(detail),
             RecordError::File { .. } => Self::broken(detail),
         }
     }

@@ -22,7 +22,9 @@ use crate::pipeline::preview::PreviewReceiver;
 use crate::pipeline::preview::drawing::{Drawing, EncodedFrame};
 use crate::pipeline::preview::error::PreviewError;
 use crate::pipeline::preview::maps::CalibrationMaps;
-use crate::pipeline::recorder::{RecordError, RecordingLimits, RecordingState, RecordingStatus};
+use crate::pipeline::recorder::{
+    RecordError, RecordedCamera, RecordingLimits, RecordingState, RecordingStatus, UNWRITTEN_BYTES,
+};
 use crate::pipeline::recording_notes;
 use crate::pipeline::recording_retention::{RecordingRetention, recordings_folder};
 use crate::pipeline::running::{
@@ -141,7 +143,10 @@ impl Fleet {
         let link = self
             .link(name)
             .map_err(|UnknownCamera { camera }| RecordError::UnknownCamera { camera })?;
-        link.recorder.start(name, &self.recordings_folder(), limits)
+        let store = Arc::clone(&self.shared.store);
+        let camera = RecordedCamera { name, factory: &link.factory };
+        let room = move || store.has_room(UNWRITTEN_BYTES);
+        link.recorder.start(&camera, &self.recordings_folder(), limits, room)
     }
 
     /// Ends recording `id`; its file is whole when this returns.

@@ -6,14 +6,21 @@ use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
+use crate::imaging::factory::FactoryCalibration;
 use crate::imaging::frame::FrameSet;
+use crate::pipeline::assembly::SharedFactory;
 use crate::pipeline::clock::utc_now_ns;
 use crate::pipeline::recording_notes;
 pub use crate::pipeline::recording_status::{RecordingState, RecordingStatus};
 use crate::recording::{McapWriter, RecordingError};
+use crate::store::error::StoreError;
 
 /// Frame sets that wait for the disk before any is dropped.
 const QUEUE: usize = 64;
+
+/// What a recording may still write once it is to end: the chunk in memory, of about a megabyte,
+/// and the index.
+pub(super) const UNWRITTEN_BYTES: u64 = 2_000_000;
 
 /// How often it is noted how far a recording is, in frame time.
 const NOTE_EVERY_NS: i64 = 1_000_000_000;
@@ -52,6 +59,12 @@ pub enum RecordError {
         /// What the system said.
         detail: String,
     },
+    /// The disk is fuller than it may become.
+    #[error("{detail}")]
+    NoRoom {
+        /// What is free and what is to stay free.
+        detail: String,
+    },
     /// No such recording.
     #[error("there is no recording `{id}`; see GET /v1/recordings for those there are")]
     UnknownRecording {
@@ -76,6 +89,13 @@ pub enum RecordError {
 #[derive(Debug, Default)]
 pub(super) struct RecorderLink(Mutex<Option<Recorder>>);
 
+/// The camera that is recorded.
+pub(super) struct RecordedCamera<'a> {
+    pub(super) name: &'a str,
+    /// What its device states, from its first frame on.
+    pub(super) factory: &'a SharedFactory,
+}
+
 #[derive(Debug)]
 struct Recorder {
     /// None once it has ended.
@@ -85,13 +105,16 @@ struct Recorder {
 }
 
 impl RecorderLink {
-    /// Begins a recording of `camera` in `folder`.
+    /// Begins a recording of `camera` in `folder`. `room` says what is missing where the disk's last
+    /// part, which is to stay free, is reached.
     pub(super) fn start(
         &self,
-        camera: &str,
+        camera: &RecordedCamera<'_>,
         folder: &Path,
         limits: RecordingLimits,
+        room: impl Fn() -> Result<(), StoreError> + Send + 'static,
     ) -> Result<RecordingStatus, RecordError> {
+        let RecordedCamera { name: camera, factory } = *camera;
         let mut link = lock(&self.0);
         if let Some(running) = link.as_ref().map(|recorder| lock(&recorder.status).clone())
             && running.state == RecordingState::Recording
@@ -99,6 +122,7 @@ impl RecorderLink {
             return Err(RecordError::Busy { camera: camera.to_owned(), recording: running.id });
         }
         let failed = |detail: String| RecordError::File { detail };
+        room().map_err(|full| RecordError::NoRoom { detail: full.to_string() })?;
         std::fs::create_dir_all(folder)
             .map_err(|e| failed(format!("{}: {e}", folder.display())))?;
         let id = ulid::Ulid::generate().to_string();
@@ -119,10 +143,10 @@ impl RecorderLink {
         recording_notes::write(&status).map_err(|e| failed(e.to_string()))?;
         let shown = Arc::new(Mutex::new(status.clone()));
         let (frames, waiting) = sync_channel(QUEUE);
-        let written = Arc::clone(&shown);
+        let (written, factory) = (Arc::clone(&shown), Arc::clone(factory));
         let thread = std::thread::Builder::new()
             .name(format!("record-{camera}"))
-            .spawn(move || write_all(&waiting, writer, limits, &written))
+            .spawn(move || write_all(&waiting, writer, &factory, (limits, &room), &written))
             .map_err(|e| failed(format!("no thread for it: {e}")))?;
         *link = Some(Recorder { frames: Some(frames), status: shown, thread: Some(thread) });
         Ok(status)
@@ -177,7 +201,8 @@ impl RecorderLink {
 fn write_all(
     frames: &Receiver<Arc<FrameSet>>,
     mut writer: McapWriter,
-    limits: RecordingLimits,
+    factory: &Mutex<FactoryCalibration>,
+    (limits, room): (RecordingLimits, &dyn Fn() -> Result<(), StoreError>),
     status: &Mutex<RecordingStatus>,
 ) {
     let path = lock(status).path.clone();
@@ -186,7 +211,12 @@ fn write_all(
     let mut noted_ns = None;
     let mut outcome: Result<Option<String>, RecordingError> = Ok(None);
     for frame_set in frames {
-        if let Err(error) = writer.write(&frame_set) {
+        let now_ns = frame_set.host_time.utc_ns;
+        let stated = match noted_ns {
+            Some(_) => Ok(()),
+            None => writer.write_factory(&lock(factory).clone(), now_ns),
+        };
+        if let Err(error) = stated.and_then(|()| writer.write(&frame_set)) {
             outcome = Err(error);
             break;
         }
@@ -196,11 +226,15 @@ fn write_all(
             status.frame_sets += 1;
             status.bytes = bytes;
         }
-        let now_ns = frame_set.host_time.utc_ns;
         if now_ns.saturating_sub(*noted_ns.get_or_insert(now_ns)) >= NOTE_EVERY_NS {
             noted_ns = Some(now_ns);
             // The recording is worth more than its note.
             let _ = recording_notes::write(&lock(status).clone());
+        }
+        // Sessions need what is to stay free for their end.
+        if let Err(full) = room() {
+            outcome = Ok(Some(full.to_string()));
+            break;
         }
         let elapsed_s = now_ns.saturating_sub(*began_ns.get_or_insert(now_ns)) as f64 * 1e-9;
         if let Some(reached) = reached(limits, elapsed_s, bytes) {
@@ -241,6 +275,7 @@ mod tests {
 
     use super::*;
     use crate::geometry::pixel::ImageSize;
+    use crate::imaging::depth_encoding::DepthEncoding;
     use crate::imaging::frame::{Frame, PixelFormat, SensorKind};
     use crate::imaging::timestamp::HostTime;
     use crate::recording::{ReadOptions, Recording};
@@ -270,6 +305,15 @@ mod tests {
         })
     }
 
+    fn started(
+        link: &RecorderLink,
+        folder: &Path,
+        limits: RecordingLimits,
+    ) -> Result<RecordingStatus, RecordError> {
+        let camera = RecordedCamera { name: "front", factory: &Arc::default() };
+        link.start(&camera, folder, limits, || Ok(()))
+    }
+
     fn read_back(path: &Path) -> Vec<u64> {
         let mut recording = Recording::open(path, &ReadOptions::default()).unwrap();
         std::iter::from_fn(|| recording.next_frame_set().unwrap()).map(|set| set.sequence).collect()
@@ -280,13 +324,10 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let link = RecorderLink::default();
         link.offer(&frame_set(0), true);
-        let started = link.start("front", folder.path(), RecordingLimits::default()).unwrap();
+        let recording = started(&link, folder.path(), RecordingLimits::default()).unwrap();
         (1..100).for_each(|sequence| link.offer(&frame_set(sequence), true));
-        let busy = link.start("front", folder.path(), RecordingLimits::default()).unwrap_err();
-        assert_eq!(
-            busy,
-            RecordError::Busy { camera: "front".into(), recording: started.id.clone() }
-        );
+        let busy = started(&link, folder.path(), RecordingLimits::default()).unwrap_err();
+        assert_eq!(busy, RecordError::Busy { camera: "front".into(), recording: recording.id });
         let finished = link.finish().unwrap();
         assert_eq!(
             (finished.state, finished.frame_sets, finished.dropped),
@@ -305,7 +346,7 @@ mod tests {
         ] {
             let folder = tempfile::tempdir().unwrap();
             let link = RecorderLink::default();
-            link.start("front", folder.path(), limits).unwrap();
+            started(&link, folder.path(), limits).unwrap();
             (0..60).for_each(|sequence| link.offer(&frame_set(sequence), true));
             let finished = link.finish().unwrap();
             assert_eq!(finished.state, RecordingState::Finished);
@@ -314,6 +355,22 @@ mod tests {
             assert!(read.len() >= 9 && read.len() < 20, "{}", read.len());
             assert_eq!(read.len() as u64, finished.frame_sets);
         }
+    }
+
+    /// As what the device states of itself while it is replayed live.
+    #[test]
+    fn what_the_device_states_is_in_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let link = RecorderLink::default();
+        let factory = SharedFactory::default();
+        let camera = RecordedCamera { name: "front", factory: &factory };
+        link.start(&camera, folder.path(), RecordingLimits::default(), || Ok(())).unwrap();
+        // A device that is opened only now.
+        lock(&factory).depth_encoding = Some(DepthEncoding::metric(1e-4));
+        link.offer(&frame_set(0), true);
+        let finished = link.finish().unwrap();
+        let recording = Recording::open(&finished.path, &ReadOptions::default()).unwrap();
+        assert_eq!(recording.factory(), *lock(&factory));
     }
 
     /// `/dev/full` answers as a full disk does.
@@ -337,7 +394,8 @@ mod tests {
         let (frames, waiting) = sync_channel(10);
         (0..10).for_each(|sequence| frames.send(frame_set(sequence)).unwrap());
         drop(frames);
-        write_all(&waiting, writer, RecordingLimits::default(), &status);
+        let limits = RecordingLimits::default();
+        write_all(&waiting, writer, &Mutex::default(), (limits, &|| Ok(())), &status);
         let ended = lock(&status).clone();
         assert_eq!(ended.state, RecordingState::Failed);
         let reason = ended.reason.unwrap();
@@ -350,7 +408,7 @@ mod tests {
         let file = folder.path().join("file");
         std::fs::write(&file, "").unwrap();
         let refused =
-            RecorderLink::default().start("front", &file.join("x"), RecordingLimits::default());
+            started(&RecorderLink::default(), &file.join("x"), RecordingLimits::default());
         assert!(matches!(refused, Err(RecordError::File { .. })));
     }
 }

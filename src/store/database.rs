@@ -159,7 +159,10 @@ impl Store {
     }
 
     /// Whether `bytes` more leave enough of the disk free.
-    pub(super) fn has_room(&self, bytes: u64) -> Result<(), StoreError> {
+    ///
+    /// # Errors
+    /// [`StoreError::NoRoom`] where they do not.
+    pub(crate) fn has_room(&self, bytes: u64) -> Result<(), StoreError> {
         const MB: u64 = 1_000_000;
         // A file system that does not say is taken to have room: a write that fails says so.
         let Some(free) = free_bytes(self.folder()).filter(|_| self.least_free_bytes > 0) else {

@@ -43,13 +43,16 @@ fn views(served: &Served, id: &str) -> usize {
     views["views"].as_array().unwrap().len()
 }
 
+fn free_kb(disk: &Path) -> u64 {
+    let out = Command::new("df").args(["--output=avail", "-k"]).arg(disk).output().unwrap();
+    String::from_utf8_lossy(&out.stdout).lines().nth(1).unwrap().trim().parse().unwrap()
+}
+
 /// Fills the disk but for so much.
 fn fill(disk: &Path, leave_kb: u64) -> PathBuf {
     let file = disk.join("filler");
-    let out = Command::new("df").args(["--output=avail", "-k"]).arg(disk).output().unwrap();
-    let free_kb: u64 =
-        String::from_utf8_lossy(&out.stdout).lines().nth(1).unwrap().trim().parse().unwrap();
-    std::fs::write(&file, vec![0; 1024 * free_kb.saturating_sub(leave_kb) as usize]).unwrap();
+    let filled_kb = free_kb(disk).saturating_sub(leave_kb);
+    std::fs::write(&file, vec![0; 1024 * filled_kb as usize]).unwrap();
     file
 }
 
@@ -96,4 +99,25 @@ fn nothing_that_was_announced_is_lost_on_a_full_disk() {
         assert_eq!(session["state"], "finished", "{session}");
         assert_eq!(views(&served, &id) as u64, session["views_kept"].as_u64().unwrap());
     }
+}
+
+/// What is to stay free is there for the end of what runs.
+#[test]
+fn a_recording_ends_before_the_disk_is_full() {
+    let folder = tempfile::tempdir().unwrap();
+    let disk = SmallDisk::mounted(&folder.path().join("store"), 12);
+    let camera = "min_free_mb = 4\n[[camera]]\nname = \"front\"\nsource = { kind = \"simulator\", pace = \"fastest\" }\n";
+    let served = Served::start(folder.path(), camera);
+    let started = served.post("/v1/cameras/front/recordings", &json!({}));
+    assert_eq!(started.status, 201, "{}", started.text());
+    let path = format!("/v1/recordings/{}", started.json()["id"].as_str().unwrap());
+    let ended = (0..200_000)
+        .map(|_| served.get(&path).json())
+        .find(|recording| recording["state"] != "recording")
+        .unwrap();
+    assert_eq!(ended["state"], "finished", "{ended}");
+    assert!(ended["reason"].as_str().unwrap().contains("4 MB are to stay free"), "{ended}");
+    assert!(free_kb(&disk.0) >= 3900, "{} kB", free_kb(&disk.0));
+    let refused = served.post("/v1/cameras/front/recordings", &json!({}));
+    assert_eq!(refused.status, 503, "{}", refused.text());
 }
