@@ -29,6 +29,7 @@ mod rig_joint;
 mod rig_member;
 pub mod rounded;
 pub mod running_estimate;
+pub mod same_view;
 pub mod scene;
 pub mod sensor;
 pub mod session;

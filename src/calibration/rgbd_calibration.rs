@@ -41,7 +41,7 @@ pub fn with_depth(
         color_from_depth(own(source), own(SensorKind::Color), estimate)
     };
     let seen = JointViews { solved };
-    if let Some(color) = calibration.image_mut(SensorKind::Color) {
+    if let Some(color) = calibration.image_mut(&SensorId::own(SensorKind::Color)) {
         set_lens(color, joint.color, &joint.color_covariance);
         seen.place(color, &solved.color, SensorKind::Color);
         let halves = solved.halves.map(|halves| halves.color);

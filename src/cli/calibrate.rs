@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::time::Instant;
 
+use crate::calibration::sensor::SensorId;
 use crate::calibration::{self, InstrumentObservations, SolveOptions};
 use crate::cli::calibrate_rgbd;
 use crate::cli::calibration_output::{OutputArgs, named};
@@ -94,7 +95,7 @@ fn solve(
     spinner.finish_and_clear();
     let mut solved =
         solved.map_err(|error| Failure::failed(format!("{}: {error}", args.search.title())))?;
-    if let Some(color) = solved.image_mut(SensorKind::Color) {
+    if let Some(color) = solved.image_mut(&SensorId::own(SensorKind::Color)) {
         for (place, view) in others {
             color.views.insert(place.min(color.views.len()), view);
         }

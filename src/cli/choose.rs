@@ -122,7 +122,7 @@ fn chosen_images(
             },
             |fault| fault.to_string(),
         );
-        images.push(Err(unused(view.name, reason)));
+        images.push(Err(unused(view.name, &reason)));
     }
     for (place, other) in others {
         images.insert(place.min(images.len()), Err(other));

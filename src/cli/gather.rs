@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use crate::calibration::admission::{AdmissionOptions, Rejection};
 use crate::calibration::result::CalibratedView;
+use crate::calibration::same_view::is_same;
 use crate::calibration::session::Session;
 use crate::calibration::session::camera::CameraPart;
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
@@ -14,16 +15,12 @@ use crate::cli::search_args::SearchArgs;
 use crate::cli::sources::{FrameSets, Unreadable};
 use crate::cli::{Failure, progress};
 use crate::detection::board_detection::{BoardMarkers, Detection};
-use crate::estimation::problem::{BoardView, CameraProblem, Correspondence, LensChoice};
+use crate::estimation::problem::{BoardView, CameraProblem, LensChoice};
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::target::Target;
 
 /// Fewer corners do not determine a board's pose and say anything about the lens.
 const LEAST_CORNERS: usize = 6;
-
-/// Views whose corners are all nearer to each other than this, in the standard deviations of their
-/// differences, are one view: of a few hundred differences by chance none is larger.
-const SAME_STDS: f64 = 5.0;
 
 /// What the images amount to. An image that was chosen by hand (a file, one of a folder) is a
 /// view if the board is seen in it; frames of a recording go through a session, which keeps the
@@ -66,7 +63,7 @@ impl ImageGathering {
         self.searched += 1;
         match image {
             Ok(image) => {
-                self.check_size(&image)?;
+                check_size(&mut self.size, &image)?;
                 let seen = image.answer.as_ref().ok();
                 self.markers = self.markers.or(seen.and_then(|seen| seen.markers));
                 if let Err(no_board) = &image.answer {
@@ -96,7 +93,7 @@ impl ImageGathering {
         for (place, image) in self.images.into_iter().enumerate() {
             match image {
                 Ok(view) => views.push(view),
-                Err((name, reason)) => others.push((place, unused(name, reason))),
+                Err((name, reason)) => others.push((place, unused(name, &reason))),
             }
         }
         let which =
@@ -116,18 +113,6 @@ impl ImageGathering {
     /// The target, with what its markers say of how it is printed.
     pub fn target_as_seen(&self) -> Target {
         self.markers.map_or(self.target, |markers| markers.as_printed(&self.target))
-    }
-
-    fn check_size(&mut self, image: &SearchedImage) -> Result<(), Failure> {
-        let size = image.frame.image_size;
-        let (first, expected) = self.size.get_or_insert_with(|| (image.path.clone(), size));
-        if *expected == size {
-            return Ok(());
-        }
-        Err(Failure::failed(format!(
-            "{} is {size}, but {first} is {expected}: calibrate each size of image by itself",
-            image.path
-        )))
     }
 
     /// How many images had the commonest reason, and the line of the first of them.
@@ -153,10 +138,7 @@ impl ImageGathering {
                 let view = BoardView { name, ..view.to_board_view(&self.target) };
                 let mut earlier = self.images.iter().flatten();
                 match earlier.find(|earlier| is_same(earlier, &view)) {
-                    Some(earlier) => Err((
-                        view.name,
-                        format!("the same view as {}: it counts once", earlier.name),
-                    )),
+                    Some(earlier) => Err((view.name, same_as(&earlier.name))),
                     None => Ok(view),
                 }
             }
@@ -214,7 +196,33 @@ pub fn gather(args: &SearchArgs, target: Target) -> Result<ImageGathering, Failu
     Ok(gathered)
 }
 
-pub(super) fn unused(name: String, reason: String) -> CalibratedView {
+/// Whether an image has the size of the `first`, which it is where there is none yet.
+///
+/// # Errors
+/// When it has not, with both.
+pub(super) fn check_size(
+    first: &mut Option<(String, ImageSize)>,
+    image: &SearchedImage,
+) -> Result<(), Failure> {
+    let size = image.frame.image_size;
+    let (first, expected) = first.get_or_insert_with(|| (image.path.clone(), size));
+    if *expected == size {
+        return Ok(());
+    }
+    Err(Failure::failed(format!(
+        "{} is {size}, but {first} is {expected}: calibrate each size of image by itself",
+        image.path
+    )))
+}
+
+/// Why an image that shows what another shows is no view.
+pub(super) fn same_as(name: &str) -> String {
+    format!("the same view as {name}: it counts once")
+}
+
+/// An image that is no view; its reason without its name, which stands before it.
+pub(super) fn unused(name: String, reason: &str) -> CalibratedView {
+    let reason = reason.strip_prefix(&format!("{name}: ")).unwrap_or(reason).to_owned();
     CalibratedView {
         name,
         used: false,
@@ -222,45 +230,5 @@ pub(super) fn unused(name: String, reason: String) -> CalibratedView {
         rms_px: None,
         camera_from_board: None,
         camera_from_scene: None,
-    }
-}
-/// Whether two images show the board in one place: copies of an image, or a camera and a board that
-/// stood still. Model errors are alike in both, so that they are no two independent views.
-fn is_same(one: &BoardView, other: &BoardView) -> bool {
-    let is_near = |(a, b): (&Correspondence, &Correspondence)| {
-        let limit_px = SAME_STDS * a.std_px.hypot(b.std_px);
-        a.point_in_board == b.point_in_board
-            && (a.pixel.x - b.pixel.x).abs() <= limit_px
-            && (a.pixel.y - b.pixel.y).abs() <= limit_px
-    };
-    one.correspondences.len() == other.correspondences.len()
-        && one.correspondences.iter().zip(&other.correspondences).all(is_near)
-}
-
-#[cfg(test)]
-mod tests {
-    use nalgebra::Point3;
-
-    use super::*;
-    use crate::geometry::pixel::Pixel;
-
-    fn view(offset_px: impl Fn(usize) -> f64) -> BoardView {
-        let corner = |k: usize| Correspondence {
-            point_in_board: Point3::new(0.03 * k as f64, 0.0, 0.0),
-            pixel: Pixel::new(40.0 * k as f64 + offset_px(k), 100.0),
-            std_px: 0.05,
-        };
-        BoardView { name: "a".to_owned(), correspondences: (0..8).map(corner).collect() }
-    }
-
-    #[test]
-    fn copies_and_images_that_differ_by_noise_are_one_view() {
-        let noise = view(|k| if k % 2 == 0 { 0.15 } else { -0.15 });
-        assert!(is_same(&view(|_| 0.0), &view(|_| 0.0)) && is_same(&view(|_| 0.0), &noise));
-        let moved = view(|k| if k == 7 { 1.0 } else { 0.0 });
-        assert!(!is_same(&view(|_| 0.0), &moved));
-        let mut fewer = view(|_| 0.0);
-        fewer.correspondences.pop();
-        assert!(!is_same(&view(|_| 0.0), &fewer));
     }
 }

@@ -5,7 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use crate::calibration::admission::{AdmissionOptions, Rejection};
-use crate::calibration::result::Calibration;
+use crate::calibration::result::{CalibratedView, Calibration};
+use crate::calibration::same_view::is_same;
 use crate::calibration::sensor::SensorId;
 use crate::calibration::session::{CameraFrame, FrameContent, Session};
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
@@ -16,15 +17,18 @@ use crate::calibration::{
 use crate::cli::calibrate_rgbd;
 use crate::cli::estimated::GivenLens;
 use crate::cli::files::read_calibration;
+use crate::cli::gather::{check_size, same_as, unused};
 use crate::cli::in_order::in_order;
 use crate::cli::search::{SearchedImage, searcher};
 use crate::cli::search_args::SearchArgs;
-use crate::cli::sources::FrameSets;
+use crate::cli::sources::{FrameSets, Unreadable};
+use crate::cli::verified::same_size;
 use crate::cli::{Failure, progress};
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::problem::{BoardView, LensChoice};
 use crate::estimation::rig::FrameSetView;
 use crate::geometry::lens::Lens;
+use crate::geometry::pixel::ImageSize;
 use crate::geometry::target::Target;
 use crate::imaging::frame::SensorKind;
 
@@ -74,13 +78,19 @@ pub fn calibrate(
             unknown.camera
         )));
     }
-    let searched = cameras.iter().map(|camera| searched(camera, search, &target));
-    let searched: Vec<Vec<SearchedImage>> = searched.collect::<Result<_, _>>()?;
+    let sources = cameras.iter().map(|camera| SearchedSource::of(camera, search, &target));
+    let mut sources: Vec<SearchedSource> = sources.collect::<Result<_, _>>()?;
+    let searched: Vec<Vec<SearchedImage>> =
+        sources.iter_mut().map(|source| std::mem::take(&mut source.images)).collect();
     let frame_sets = frame_sets(cameras, &searched)?;
     let kept = kept(cameras, &searched, &frame_sets, target)?;
-    let each = cameras.iter().enumerate().map(|(place, camera)| {
-        let views = views(&searched[place], &kept[place], &target);
-        observations(camera, (search, target), (&searched[place], views), given)
+    let views = searched.iter().zip(&kept).map(|(searched, kept)| views(searched, kept, &target));
+    let (views, copies) = without_copies(views.collect());
+    for (source, (searched, views)) in sources.iter_mut().zip(searched.iter().zip(&views)) {
+        source.add_unused(searched, views, &copies);
+    }
+    let each = cameras.iter().zip(searched.iter().zip(views)).map(|(camera, (searched, views))| {
+        observations(camera, (search, target), (searched, views), given)
     });
     let observations = InstrumentObservations {
         board: Some(target),
@@ -90,33 +100,122 @@ pub fn calibrate(
     let spinner = progress::spinner("solving");
     let solved = solve(&observations, &options);
     spinner.finish_and_clear();
-    solved.map_err(Failure::failed)
+    let mut solved = solved.map_err(Failure::failed)?;
+    for (camera, source) in cameras.iter().zip(sources) {
+        let id = SensorId::of(&camera.name, SensorKind::Color);
+        let Some(color) = solved.image_mut(&id) else { continue };
+        for (place, view) in source.unused {
+            color.views.insert(place.min(color.views.len()), view);
+        }
+    }
+    Ok(solved)
 }
 
-/// Every frame of a camera's source that could be read, with the board in it.
-fn searched(
-    camera: &NamedSource,
-    search: &SearchArgs,
-    target: &Target,
-) -> Result<Vec<SearchedImage>, Failure> {
-    let mut all = Vec::new();
-    let spinner = progress::spinner("searching images");
-    let source = std::iter::once(camera.source.clone());
-    in_order(
-        FrameSets::new(source).reading(&search.reading),
-        search.thread_count(),
-        || searcher(target, search.detect_options(), 1),
-        |image| {
-            spinner.inc(1);
-            let image = image.map_err(|unreadable| {
-                Failure::failed(format!("camera `{}`: {}", camera.name, unreadable.reason))
-            })?;
-            all.push(image);
-            Ok::<(), Failure>(())
-        },
-    )?;
-    spinner.finish_and_clear();
-    Ok(all)
+/// A camera's folder or recording, searched.
+#[derive(Default)]
+struct SearchedSource {
+    images: Vec<SearchedImage>,
+    /// Images of a folder that are no views, each with its place among all.
+    unused: Vec<(usize, CalibratedView)>,
+}
+
+impl SearchedSource {
+    /// Every frame of a camera's source, with the board in it.
+    fn of(camera: &NamedSource, search: &SearchArgs, target: &Target) -> Result<Self, Failure> {
+        let (mut all, mut first) = (Self::default(), None);
+        let mut unreadable = Vec::new();
+        let spinner = progress::spinner("searching images");
+        in_order(
+            FrameSets::new(std::iter::once(camera.source.clone())).reading(&search.reading),
+            search.thread_count(),
+            || searcher(target, search.detect_options(), 1),
+            |image| {
+                spinner.inc(1);
+                match image {
+                    Ok(image) => {
+                        check_size(&mut first, &image)?;
+                        all.images.push(image);
+                    }
+                    Err(Unreadable { path, reason }) => {
+                        let place = all.images.len() + unreadable.len();
+                        unreadable.push((place, unused(path, &reason)));
+                    }
+                }
+                Ok::<(), Failure>(())
+            },
+        )?;
+        spinner.finish_and_clear();
+        if let (true, Some((_, view))) = (all.images.is_empty(), unreadable.first()) {
+            let reason = view.reason.as_deref().unwrap_or_default();
+            return Err(Failure::failed(format!(
+                "camera `{}`: {}: {reason}",
+                camera.name, view.name
+            )));
+        }
+        all.unused = unreadable;
+        Ok(all)
+    }
+
+    /// Adds the images of a folder that became none of `views`, with why.
+    fn add_unused(
+        &mut self,
+        searched: &[SearchedImage],
+        views: &[FrameSetView],
+        copies: &BTreeMap<String, String>,
+    ) {
+        let is_view: BTreeSet<&str> = views.iter().map(|seen| seen.view.name.as_str()).collect();
+        let mut unreadable = std::mem::take(&mut self.unused).into_iter().peekable();
+        let mut place = 0;
+        for image in searched.iter().filter(|image| image.recording.is_none()) {
+            while let Some(view) = unreadable.next_if(|(at, _)| *at == place) {
+                self.unused.push(view);
+                place += 1;
+            }
+            if !is_view.contains(image.path.as_str()) {
+                let reason = match (copies.get(&image.path), &image.answer) {
+                    (Some(original), _) => same_as(original),
+                    (None, Err(no_board)) => no_board.to_string(),
+                    (None, Ok(_)) => "its corners determine no pose".to_owned(),
+                };
+                self.unused.push((place, unused(image.path.clone(), &reason)));
+            }
+            place += 1;
+        }
+        self.unused.extend(unreadable);
+    }
+}
+
+/// Views by camera without frame sets that every camera sees as it saw one before them; and of each
+/// view left out the name of that before.
+fn without_copies(
+    mut cameras: Vec<Vec<FrameSetView>>,
+) -> (Vec<Vec<FrameSetView>>, BTreeMap<String, String>) {
+    let mut sets: BTreeMap<usize, Vec<(usize, &FrameSetView)>> = BTreeMap::new();
+    for (camera, views) in cameras.iter().enumerate() {
+        for seen in views {
+            sets.entry(seen.frame_set).or_default().push((camera, seen));
+        }
+    }
+    let (mut kept, mut copies) = (Vec::new(), BTreeMap::new());
+    for (frame_set, views) in sets {
+        let original = kept.iter().find(|(_, before): &&(usize, Vec<(usize, &FrameSetView)>)| {
+            views.len() == before.len()
+                && views.iter().zip(before).all(|((camera, seen), (of, before))| {
+                    camera == of && is_same(&before.view, &seen.view)
+                })
+        });
+        match original {
+            Some((_, before)) => {
+                let name = |seen: &FrameSetView| seen.view.name.clone();
+                let pairs = views.iter().zip(before);
+                copies.extend(pairs.map(|((_, seen), (_, before))| (name(seen), name(before))));
+            }
+            None => kept.push((frame_set, views)),
+        }
+    }
+    let kept: BTreeSet<usize> = kept.into_iter().map(|(frame_set, _)| frame_set).collect();
+    cameras.iter_mut().for_each(|views| views.retain(|seen| kept.contains(&seen.frame_set)));
+    (cameras, copies)
 }
 
 /// Camera by camera, which of its frames is in the frame set.
@@ -265,7 +364,8 @@ fn observations(
     given: &[GivenLens],
 ) -> Result<CameraFrameSets, Failure> {
     let given = given.iter().find(|given| given.camera == camera.name);
-    let given = given.map(given_lens).transpose()?;
+    let size = searched.first().map(|image| image.frame.image_size);
+    let given = given.map(|given| given_lens(given, size)).transpose()?;
     let name = Some(camera.name.clone());
     if calibrate_rgbd::has_depth(&camera.source, &search.reading) {
         let number = |seen: &FrameSetView| (seen.view.name.clone(), seen.frame_set);
@@ -284,7 +384,7 @@ fn observations(
 }
 
 /// The lens of a calibration that is to be held.
-fn given_lens(given: &GivenLens) -> Result<Lens, Failure> {
+fn given_lens(given: &GivenLens, size: Option<ImageSize>) -> Result<Lens, Failure> {
     let file = given.calibration.display();
     if given.sensor != SensorKind::Color {
         return Err(Failure::usage(format!(
@@ -297,5 +397,7 @@ fn given_lens(given: &GivenLens) -> Result<Lens, Failure> {
     let own = calibration.sensor(&SensorId::of(&given.camera, given.sensor));
     let lens = own.and_then(|sensor| sensor.as_image()).or_else(|| calibration.color());
     let none = || Failure::failed(format!("{file}: it has no color lens of `{}`", given.camera));
-    lens.map(|sensor| sensor.lens).ok_or_else(none)
+    let sensor = lens.ok_or_else(none)?;
+    size.map_or(Ok(()), |size| same_size(size, &file.to_string(), sensor))?;
+    Ok(sensor.lens)
 }

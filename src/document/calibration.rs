@@ -388,7 +388,7 @@ pub(crate) mod tests {
     fn of_scene() -> Calibration {
         let mut calibration = example();
         calibration.target = Some(CalibrationTarget::Scene);
-        let color = calibration.image_mut(SensorKind::Color).unwrap();
+        let color = calibration.image_mut(&SensorId::own(SensorKind::Color)).unwrap();
         color.scene = Some(SceneSupport {
             points: 900,
             held_by_prior: vec!["cx".into()],

@@ -14,7 +14,7 @@ use crate::imaging::frame::SensorKind;
 
 fn with_lens(model: LensModel, parameters: &[f64]) -> Calibration {
     let mut calibration = example();
-    let sensor = calibration.image_mut(SensorKind::Color).unwrap();
+    let sensor = calibration.image_mut(&SensorId::own(SensorKind::Color)).unwrap();
     sensor.lens = Lens::from_parameters(model, parameters).unwrap();
     sensor.lens_std = vec![0.0; parameters.len()];
     calibration

@@ -32,6 +32,7 @@ mod rgbd_session;
 mod rgbd_wrong;
 #[cfg(unix)]
 mod rig_faults;
+mod rig_folders;
 mod rig_session;
 mod room;
 mod scene_session;

@@ -123,10 +123,9 @@ impl Calibration {
         self.sensor(&SensorId::own(kind))?.as_image()
     }
 
-    /// The same, to change.
-    pub fn image_mut(&mut self, kind: SensorKind) -> Option<&mut ImageCalibration> {
-        let id = SensorId::own(kind);
-        match &mut self.sensors.iter_mut().find(|sensor| sensor.id == id)?.result {
+    /// The image sensor `id`, to change.
+    pub fn image_mut(&mut self, id: &SensorId) -> Option<&mut ImageCalibration> {
+        match &mut self.sensors.iter_mut().find(|sensor| sensor.id == *id)?.result {
             SensorResult::Image(sensor) => Some(sensor),
             SensorResult::Depth(_) => None,
         }
