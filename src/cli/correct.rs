@@ -10,8 +10,9 @@ use image::{ImageFormat, RgbImage};
 use serde::Serialize;
 
 use crate::calibration::sensor::SensorId;
-use crate::cli::files::{read_calibration, write_file};
+use crate::cli::files::read_calibration;
 use crate::cli::plane_errors::{BeforeAndAfter, PlaneErrors};
+use crate::cli::result_image::ResultFiles;
 use crate::cli::sources::{FrameSets, TopicArgs, is_recording};
 use crate::cli::{Failure, output, progress};
 use crate::geometry::median::median;
@@ -121,15 +122,23 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     })?;
     let spinner = progress::spinner("correcting");
     let (mut written, mut failures) = (Vec::new(), Vec::new());
+    let mut files = ResultFiles::of(&args.depth);
     let mut give = |path: String, name: String, image: Result<(DepthImage, Colored), String>| {
         spinner.inc(1);
         let outcome = image.and_then(|(image, color)| {
             fits(&image, depth.camera.image_size)?;
             let seen =
                 NamedDepth { path: &path, name: &name, image: &image, color: color.image.as_ref() };
-            let mut one = correct(args, &registration, depth.invalid, &seen)?;
-            if let Some((errors, frame)) = plane_errors.as_mut().zip(color.frame.as_ref()) {
-                one.off_board = off_board(args, errors, &name, frame, &image)?;
+            let mut write = |name: String, bytes: &[u8]| {
+                let out = args.out.join(name);
+                files.write(&path, &out, bytes).map(|()| out.display().to_string())
+            };
+            let mut one = correct(args, &registration, depth.invalid, &seen, &mut write)?;
+            if let Some((errors, frame)) = plane_errors.as_mut().zip(color.frame.as_ref())
+                && let Some((off, drawn)) = errors.of(frame, &image)?
+            {
+                write(format!("{name}-error.png"), &encode_png(&drawn)?)?;
+                one.off_board = Some(off);
             }
             Ok(one)
         });
@@ -181,19 +190,20 @@ struct NamedDepth<'a> {
     color: Option<&'a RgbImage>,
 }
 
-/// `invalid`: the reading that means none, if there is one.
+/// `invalid`: the reading that means none, if there is one. `write` takes a file's name and what
+/// goes into it.
 fn correct(
     args: &Args,
     registration: &DepthRegistration,
     invalid: Option<u16>,
     seen: &NamedDepth<'_>,
+    mut write: impl FnMut(String, &[u8]) -> Result<String, String>,
 ) -> Result<CorrectedImage, String> {
     let NamedDepth { path, name, image, color } = *seen;
     let (mut corrected, elapsed_ms) = timed(args, || match args.register.as_deref() {
         Some("color") => registration.register(image, invalid, args.unit),
         _ => registration.correct(image, invalid, args.unit),
     });
-    let write = |name: String, bytes: &[u8]| write(args, &name, bytes);
     if needs_color(args) {
         let depths = registration.depths_m(image, invalid);
         if args.cloud {
@@ -223,26 +233,6 @@ fn correct(
         elapsed_ms,
         off_board: None,
     })
-}
-
-/// How far `image` is off the board that `frame` shows, drawn as NAME-error.png; `None` where it
-/// shows none.
-fn off_board(
-    args: &Args,
-    errors: &mut PlaneErrors,
-    name: &str,
-    frame: &Frame,
-    image: &DepthImage,
-) -> Result<Option<BeforeAndAfter>, String> {
-    let Some((off, drawn)) = errors.of(frame, image)? else { return Ok(None) };
-    write(args, &format!("{name}-error.png"), &encode_png(&drawn)?)?;
-    Ok(Some(off))
-}
-
-fn write(args: &Args, name: &str, bytes: &[u8]) -> Result<String, String> {
-    let out = args.out.join(name);
-    write_file(&out, bytes).map_err(|failure| failure.line().unwrap_or_default().to_owned())?;
-    Ok(out.display().to_string())
 }
 
 /// What `work` gives, and the least time that one of the repetitions took, in milliseconds.

@@ -35,8 +35,12 @@ pub struct Args {
 pub(super) fn paths(given: &[String]) -> impl Iterator<Item = String> + Send + '_ {
     given.iter().flat_map(|path| -> Box<dyn Iterator<Item = String> + Send> {
         if path == "-" {
-            let lines = io::BufReader::new(io::stdin()).lines();
-            Box::new(lines.map_while(Result::ok).filter(|line| !line.is_empty()))
+            let lines = io::BufReader::new(io::stdin()).split(b'\n').map_while(Result::ok);
+            // A name that is no text is one image that cannot be read, and the next one follows.
+            let name = |line: Vec<u8>| {
+                String::from_utf8_lossy(line.strip_suffix(b"\r").unwrap_or(&line)).into_owned()
+            };
+            Box::new(lines.map(name).filter(|line| !line.is_empty()))
         } else {
             Box::new(std::iter::once(path.clone()))
         }

@@ -1,16 +1,16 @@
 //! `plumb rectify`: images of two cameras with their epipolar lines horizontal.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use nalgebra::Matrix4;
 use serde::Serialize;
 
 use crate::calibration::result::Calibration;
 use crate::calibration::stereo_pair::StereoPair;
-use crate::cli::files::{read_calibration, write_file};
-use crate::cli::result_image::{mapped_png, result_name};
+use crate::cli::files::read_calibration;
+use crate::cli::result_image::{ResultFiles, mapped_png, result_name};
 use crate::cli::row_differences::{RowDifferences, differences};
-use crate::cli::sources::{FrameSets, SourcedFrames, TopicArgs, Unreadable};
+use crate::cli::sources::{FrameSets, SourcedFrames, TopicArgs, Unreadable, files_of};
 use crate::cli::target_args::read_target;
 use crate::cli::{Failure, output, progress};
 use crate::detection::board_detection::{DetectOptions, Detection};
@@ -21,6 +21,7 @@ use crate::geometry::target::Target;
 use crate::imaging::decode::luma;
 use crate::imaging::frame::SensorKind;
 use crate::imaging::gray::GrayImage;
+use crate::imaging::image_file::is_image;
 use crate::imaging::rectify::rectifying_maps;
 use crate::imaging::remap::{Interpolation, PixelMap};
 
@@ -100,10 +101,15 @@ struct RectifiedImages {
     reason: Option<String>,
 }
 
+/// Rows of rectified images that differ by more than this, in pixels rms, are not of one moment of
+/// the calibrated pair: ten times what a calibration leaves whose views are known to half a pixel.
+const NO_PAIR_PX: f64 = 5.0;
+
 /// Runs the command.
 ///
 /// # Errors
-/// When the calibration is of no stereo pair, or an image cannot be read or written.
+/// When the calibration is of no stereo pair, an image cannot be read or written, or the images are
+/// not of one moment of the pair.
 pub fn run(args: &Args) -> Result<(), Failure> {
     if !(0.0..=1.0).contains(&args.alpha) {
         return Err(Failure::usage(format!("--alpha {}: give a number from 0 to 1", args.alpha)));
@@ -112,6 +118,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let board = calibration.target.and_then(|target| target.board());
     let target = target(args, board)?;
     let (pair, stereo) = stereo(args, &calibration)?;
+    check_names(args)?;
     let folders = pair.names.each_ref().map(|name| args.out.join(name));
     for folder in &folders {
         std::fs::create_dir_all(folder).map_err(|error| {
@@ -123,6 +130,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         stereo,
         sensors: pair.sensors.each_ref().map(|id| id.kind),
         folders,
+        files: ResultFiles::of([&args.left, &args.right]),
         finder: target.as_ref().map(TargetFinder::new),
         all_differences: Vec::new(),
     };
@@ -175,6 +183,29 @@ fn stereo(
     Ok((pair, stereo))
 }
 
+/// Where images of both cameras have names in common, those of equal names were taken together, and
+/// each has to have its other.
+fn check_names(args: &Args) -> Result<(), Failure> {
+    let names = |source: &String| -> Vec<String> {
+        let files = files_of(source).into_iter().filter(|file| is_image(file));
+        let stem = |file: PathBuf| Some(file.file_stem()?.to_string_lossy().into_owned());
+        files.filter_map(stem).collect()
+    };
+    let (left, right) = (names(&args.left), names(&args.right));
+    if left == right || !left.iter().any(|name| right.contains(name)) {
+        return Ok(());
+    }
+    let alone = |of: &[String], other: &[String]| of.iter().find(|n| !other.contains(n)).cloned();
+    let (name, source) = match (alone(&left, &right), alone(&right, &left)) {
+        (Some(name), _) => (name, &args.right),
+        (None, Some(name)) => (name, &args.left),
+        (None, None) => return Ok(()),
+    };
+    Err(Failure::failed(format!(
+        "{source} has no image of the name {name}, which the other camera has: give images that were taken together equal names, and leave out those of one camera alone"
+    )))
+}
+
 /// A frame of each camera; `None` at the end of both.
 fn taken_together(
     left: Option<Result<SourcedFrames, Unreadable>>,
@@ -217,6 +248,7 @@ struct Rectifier {
     /// Whose images they are.
     sensors: [SensorKind; 2],
     folders: [PathBuf; 2],
+    files: ResultFiles,
     finder: Option<TargetFinder>,
     all_differences: Vec<f64>,
 }
@@ -228,13 +260,9 @@ impl Rectifier {
         let out = [left.join(result_name(&frames[0])), right.join(result_name(&frames[1]))];
         let mut gray = Vec::new();
         for (k, out) in out.iter().enumerate() {
-            let frames = (&frames[k], self.sensors[k]);
-            let is_source = |path: PathBuf| out.canonicalize().is_ok_and(|known| known == path);
-            if Path::new(&images[k]).canonicalize().is_ok_and(is_source) {
-                let name = out.display();
-                return Err(format!("{name} would be written over the image; give another --out"));
-            }
-            gray.push(write_rectified(frames, &self.maps[k], out)?);
+            let (image, file) = rectified((&frames[k], self.sensors[k]), &self.maps[k])?;
+            self.files.write(&images[k], out, &file)?;
+            gray.push(image);
         }
         let measured = self.differences(&gray);
         self.all_differences.extend(measured.iter().flatten());
@@ -260,12 +288,11 @@ impl Rectifier {
     }
 }
 
-/// Writes one image rectified; its luma, rectified.
-fn write_rectified(
+/// One image rectified: its luma, and the file.
+fn rectified(
     (frames, sensor): (&SourcedFrames, SensorKind),
     map: &PixelMap,
-    out: &Path,
-) -> Result<GrayImage, String> {
+) -> Result<(GrayImage, Vec<u8>), String> {
     let path = frames.path();
     let in_path = |reason: String| format!("{path}: {reason}");
     let frame = frames.image_of(sensor).map_err(in_path)?;
@@ -279,9 +306,8 @@ fn write_rectified(
     let mut source = GrayImage::default();
     luma(frame, &mut source).map_err(|error| in_path(error.to_string()))?;
     let gray = map.gray(source.view(), Interpolation::Bicubic).ok_or_else(other_size)?;
-    let rectified = mapped_png(frame, map).map_err(in_path)?.ok_or_else(other_size)?;
-    write_file(out, &rectified).map_err(|failure| failure.line().unwrap_or_default().to_owned())?;
-    Ok(gray)
+    let file = mapped_png(frame, map).map_err(in_path)?.ok_or_else(other_size)?;
+    Ok((gray, file))
 }
 
 fn report(
@@ -329,5 +355,11 @@ fn report(
     }
     let all = rows.as_ref().map_or_else(|| format!("{lines} not measured"), words);
     let count = pairs.len();
-    output::print_line(&format!("{}: {count} rectified pairs; {all}", args.out.display()))
+    output::print_line(&format!("{}: {count} rectified pairs; {all}", args.out.display()))?;
+    match rows.filter(|rows| rows.rms_px > NO_PAIR_PX) {
+        Some(_) => Err(Failure::failed(format!(
+            "{lines} of images that are taken together differ by {NO_PAIR_PX} px at most: check that both are of this rig, of one moment, and the left camera's first"
+        ))),
+        None => Ok(()),
+    }
 }

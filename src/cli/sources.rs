@@ -176,6 +176,27 @@ pub fn is_recording(path: &Path) -> bool {
     is_recording_file(path) || is_bag_folder(path)
 }
 
+/// The files of a source that is a file, a glob, or a folder of images, with those of its sensors in
+/// folders of their own; in natural order.
+pub(super) fn files_of(source: &str) -> Vec<PathBuf> {
+    let place = Path::new(source);
+    if !place.is_dir() {
+        return match place.exists() {
+            true => vec![place.to_owned()],
+            false => files_of_glob(source).unwrap_or_default(),
+        };
+    }
+    let within = |folder: &Path| -> Vec<PathBuf> {
+        let entries = fs::read_dir(folder).into_iter().flatten();
+        entries.filter_map(|entry| Some(entry.ok()?.path())).collect()
+    };
+    let sensors = SensorKind::ALL.iter().flat_map(|sensor| within(&place.join(sensor.name())));
+    let mut files: Vec<PathBuf> =
+        within(place).into_iter().chain(sensors).filter(|path| path.is_file()).collect();
+    files.sort_by(|a, b| natural_order(&a.to_string_lossy(), &b.to_string_lossy()));
+    files
+}
+
 fn image(path: &Path) -> Result<FrameSet, Unreadable> {
     let name = path.display().to_string();
     let bytes = fs::read(path).map_err(|error| Unreadable {

@@ -1,12 +1,11 @@
 //! `plumb undistort`: images as a lens without distortion would have taken them.
 
-use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use crate::cli::files::{image_sensor, read_calibration, write_file};
-use crate::cli::result_image::{mapped_png, result_name};
+use crate::cli::files::{image_sensor, read_calibration};
+use crate::cli::result_image::{ResultFiles, mapped_png, result_name};
 use crate::cli::sources::{FrameSets, SourcedFrames, TopicArgs};
 use crate::cli::{Failure, output, progress};
 use crate::document::lens::LensDocument;
@@ -77,11 +76,11 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     })?;
     let mut written = Vec::new();
     let mut failures = Vec::new();
-    let mut taken = BTreeSet::new();
+    let mut files = ResultFiles::of(&args.images);
     let spinner = progress::spinner("undistorting");
     for frames in FrameSets::new(args.images.iter().cloned()).reading(&args.reading) {
         let outcome = match frames {
-            Ok(frames) => undistorted(&frames, id.kind, &undistortion, &args.out, &mut taken),
+            Ok(frames) => undistorted(&frames, id.kind, &undistortion, &args.out, &mut files),
             Err(unreadable) => Err(unreadable.reason),
         };
         match outcome {
@@ -140,7 +139,7 @@ fn undistorted(
     sensor: SensorKind,
     undistortion: &Undistortion,
     folder: &Path,
-    taken: &mut BTreeSet<PathBuf>,
+    files: &mut ResultFiles,
 ) -> Result<UndistortedImage, String> {
     let path = frames.path();
     let in_path = |reason: String| format!("{path}: {reason}");
@@ -150,12 +149,6 @@ fn undistorted(
         format!("{path}: {size} pixels, but the calibration is for {expected}; give images of the calibrated camera")
     })?;
     let out = folder.join(result_name(frames));
-    if !taken.insert(out.clone()) {
-        return Err(format!(
-            "{path}: {} was written from another image of that name; rename one",
-            out.display()
-        ));
-    }
-    write_file(&out, &flat).map_err(|failure| failure.line().unwrap_or_default().to_owned())?;
+    files.write(&path, &out, &flat)?;
     Ok(UndistortedImage { path, out: out.display().to_string() })
 }

@@ -1,6 +1,7 @@
 //! Folders of images as recordings: names in time order, one folder a sensor.
 
 use std::collections::BTreeMap;
+use std::ffi::OsString;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -132,18 +133,16 @@ fn frame_sets_of_sensors(
 }
 
 /// The names of the images in `folder`, in natural order.
-fn images_in(folder: &Path) -> Result<Vec<String>, RecordingError> {
+fn images_in(folder: &Path) -> Result<Vec<OsString>, RecordingError> {
     let refused = |source| RecordingError::Io { path: folder.to_owned(), source };
     let mut names = Vec::new();
     for entry in fs::read_dir(folder).map_err(refused)? {
         let path = entry.map_err(refused)?.path();
-        if let (true, Some(name)) =
-            (is_image(&path), path.file_name().and_then(|name| name.to_str()))
-        {
+        if let (true, Some(name)) = (is_image(&path), path.file_name()) {
             names.push(name.to_owned());
         }
     }
-    names.sort_by(|a, b| natural_order(a, b));
+    names.sort_by(|a, b| natural_order(&a.to_string_lossy(), &b.to_string_lossy()));
     Ok(names)
 }
 
@@ -187,6 +186,22 @@ mod tests {
             seen,
             expected.map(|(name, ns, sensors)| (name.to_owned(), ns, sensors.to_owned()))
         );
+    }
+
+    /// As files from cameras and archives of another encoding have.
+    #[cfg(unix)]
+    #[test]
+    fn a_name_that_is_no_text_is_an_image_as_any() {
+        use std::os::unix::ffi::OsStrExt;
+        let folder = tempfile::tempdir().unwrap();
+        for name in [&b"a.pgm"[..], b"b\xff.pgm", b"c.pgm"] {
+            fs::write(folder.path().join(std::ffi::OsStr::from_bytes(name)), IMAGE).unwrap();
+        }
+        let mut opened = Folder::open(folder.path(), 30.0).unwrap();
+        let names: Vec<String> = std::iter::from_fn(|| opened.next_frame_set().unwrap())
+            .map(|set| set.name.unwrap().rsplit_once('/').unwrap().1.to_owned())
+            .collect();
+        assert_eq!(names, ["a.pgm", "b\u{fffd}.pgm", "c.pgm"]);
     }
 
     #[test]
