@@ -32,7 +32,8 @@ impl Alone<'_> {
         views.filter_map(pose).collect()
     }
 
-    /// What it saw, with the points of each view where `symmetries` say that they are.
+    /// What it saw, with the points of each view where `symmetries` say that they are, and the noise
+    /// floor that it found by itself in the deviation of each corner.
     pub(super) fn with_labels_corrected(
         &self,
         board_from_labels: &[Pose],
@@ -50,6 +51,7 @@ impl Alone<'_> {
             let symmetry = if good { chosen.next().copied().unwrap_or(0) } else { 0 };
             let mut seen = seen.clone();
             for corner in &mut seen.view.correspondences {
+                corner.std_px = corner.std_px.hypot(self.solved.estimate.noise_floor_px);
                 corner.point_in_board = board_from_labels[symmetry] * corner.point_in_board;
             }
             seen

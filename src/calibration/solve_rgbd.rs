@@ -79,7 +79,9 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
     check_measured(input)?;
     let of_sensor = |sensor| move |source| RgbdError::Sensor { sensor, source };
     // The joint problem takes all rows as read at once, and weights by what each sensor leaves.
-    let options = &CameraOptions { shutter: Shutter::Global, ..options.clone() };
+    // Of a board that stands still each depth image is another measurement.
+    let options =
+        &CameraOptions { shutter: Shutter::Global, copies_count: true, ..options.clone() };
     let color = solve_views(&problem(input, input.color_size, |c| &c.color), options)
         .map_err(of_sensor("color"))?;
     let depth_size = input.frame_sets.iter().find_map(|c| c.depth.as_ref()).map(DepthImage::size);

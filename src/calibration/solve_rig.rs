@@ -93,6 +93,8 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
         let views = sensor.views.iter().map(|seen| seen.view.clone()).collect();
         let held = |lens: Lens| CameraOptions::holding(&lens, &options.interrupt);
         let options = sensor.given.map_or_else(|| options.clone(), held);
+        // Of a board that stands still another camera may see what it did not before.
+        let options = CameraOptions { copies_count: true, ..options };
         match solve_views(&CameraProblem { image_size: sensor.image_size, views }, &options) {
             Ok(solved) => alone.push(Alone { input: sensor, solved }),
             Err(source) => failed.push((sensor, source)),

@@ -155,3 +155,21 @@ fn a_camera_that_shares_nothing_costs_the_others_nothing() {
         .unwrap_err();
     assert_eq!(nothing, RigError::NothingShared);
 }
+
+/// Without noise of its own, as a recording of a still image: the left camera sees to the bit what it
+/// saw before, but only then the right one sees the board too.
+#[test]
+fn a_view_that_equals_an_earlier_one_is_shared_all_the_same() {
+    let board = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.025).unwrap();
+    let mut input = input(board, |camera, frame_set| camera < 2 && frame_set >= 15);
+    input.sensors.truncate(2);
+    let shared = input.sensors[0].views.clone();
+    let before = |seen: &FrameSetView| FrameSetView {
+        frame_set: seen.frame_set - 15,
+        view: seen.view.clone(),
+    };
+    input.sensors[0].views = shared.iter().map(before).chain(shared.iter().cloned()).collect();
+    let solved = solve_rig(&input, &options()).unwrap();
+    assert_eq!(solved.extrinsics.len(), 1);
+    within_prediction(&solved.extrinsics[0], &camera_from_first()[1].inverse());
+}

@@ -160,6 +160,7 @@ fn solve_weighted(
 ) -> Result<(CameraEstimate, CameraFit), EstimationError> {
     let problem = &*with_noise_floor(problem, noise_floor_px);
     let mut prepared = Prepared::of(problem);
+    prepared.name_copies(options);
     if let Some(board) = &options.measured_board {
         prepared.place_on(board)?;
     }

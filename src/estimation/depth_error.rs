@@ -267,8 +267,8 @@ fn folds(views: &[Vec<JudgedTile>], form: &DepthCorrection) -> Vec<Fold> {
         .map(|_| Fold { hessian: DMatrix::zeros(size, size), right: DVector::zeros(size) })
         .collect();
     let mut columns = Vec::new();
-    for (index, view) in views.iter().enumerate() {
-        let fold = &mut folds[index % FOLDS];
+    for (view, fold) in views.iter().zip(fold_of_each(views)) {
+        let fold = &mut folds[fold];
         for judged in view {
             let residual = rows(form, judged, &mut columns);
             for (i, di) in &columns {
@@ -280,6 +280,17 @@ fn folds(views: &[Vec<JudgedTile>], form: &DepthCorrection) -> Vec<Fold> {
         }
     }
     folds
+}
+
+/// The group of each view: those that have depth are dealt to one after the other; a view without is
+/// in the first, where it counts for nothing.
+fn fold_of_each(views: &[Vec<JudgedTile>]) -> impl Iterator<Item = usize> + '_ {
+    let mut with_depth = 0;
+    views.iter().map(move |view| {
+        let fold = if view.is_empty() { 0 } else { with_depth % FOLDS };
+        with_depth += usize::from(!view.is_empty());
+        fold
+    })
 }
 
 /// What the fit to the other groups leaves of each view.
@@ -299,8 +310,8 @@ fn residuals_of(
         .map(|fold| Some((&all - &fold.hessian).cholesky()?.solve(&(&all_right - &fold.right))))
         .collect();
     let fits = fits?;
-    let each = views.iter().enumerate().map(|(index, view)| {
-        let coefficients = &fits[index % FOLDS];
+    let each = views.iter().zip(fold_of_each(views)).map(|(view, fold)| {
+        let coefficients = &fits[fold];
         let residual = |judged: &JudgedTile| {
             let before = rows(form, judged, &mut columns);
             (before + columns.iter().map(|(i, d)| d * coefficients[*i]).sum::<f64>())

@@ -59,7 +59,7 @@ pub fn projection_matrix(seen: &[Correspondence]) -> Result<Matrix3x4<f64>, Esti
     let middle = seen.iter().map(|c| c.pixel.to_vector()).sum::<nalgebra::Vector2<f64>>() / n;
     let mean_square_px2 =
         seen.iter().map(|c| (c.pixel.to_vector() - middle).norm_squared()).sum::<f64>() / n;
-    if !(mean_square_px2 > 0.0) {
+    if !(mean_square_px2 > 0.0 && mean_square_px2.is_finite()) {
         return Err(EstimationError::Coplanar);
     }
     let (to_unit, to_unit_px) = ((3.0 / scatter.trace()).sqrt(), (2.0 / mean_square_px2).sqrt());
@@ -100,6 +100,10 @@ pub fn projection_matrix(seen: &[Correspondence]) -> Result<Matrix3x4<f64>, Esti
 /// The right singular vector of the smallest singular value, as a projection; `None` where it is
 /// not alone.
 fn null_vector(mut rows: DMatrix<f64>) -> Option<Matrix3x4<f64>> {
+    // The iteration for singular values does not end on what is not finite.
+    if !rows.iter().all(|v| v.is_finite()) {
+        return None;
+    }
     if rows.nrows() < 12 {
         rows = rows.resize_vertically(12, 0.0);
     }
@@ -236,6 +240,14 @@ mod tests {
         for (problem, expected) in table {
             assert_eq!(calibrate_dlt(&problem, &Interrupt::default()).unwrap_err(), expected);
         }
+        let mut far = problem(cube(8));
+        for (k, seen) in far.views[0].correspondences.iter_mut().enumerate() {
+            seen.pixel.x = if k % 3 == 0 { 1.6e308 } else { 1.7e308 };
+        }
+        assert_eq!(
+            calibrate_dlt(&far, &Interrupt::default()).unwrap_err(),
+            EstimationError::Coplanar
+        );
         let mut two = problem(cube(8));
         two.views.push(two.views[0].clone());
         assert_eq!(

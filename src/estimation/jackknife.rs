@@ -103,6 +103,7 @@ fn lens_of(
     };
     let problem = CameraProblem { image_size: problem.image_size, views };
     let mut prepared = Prepared::of(&problem);
+    prepared.name_copies(&options);
     if let Some(board) = &options.measured_board {
         prepared.place_on(board).ok()?;
     }

@@ -46,6 +46,7 @@ impl LensMisfit {
         let stated = estimate.lens.model();
         let order = stated.facts().auto_order?;
         let mut prepared = Prepared::of(problem);
+        prepared.name_copies(options);
         if let Some(board) = &options.measured_board {
             prepared.place_on(board).ok()?;
         }

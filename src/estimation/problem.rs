@@ -103,6 +103,9 @@ pub struct CameraOptions {
     pub given: Vec<GivenParameter>,
     /// An earlier estimate to go on from. Default: none.
     pub start: Option<CameraStart>,
+    /// Whether a view that equals another to the bit counts again, as where another sensor saw
+    /// something else then. Default: no.
+    pub copies_count: bool,
     /// Ends the estimate early. Default: nothing does.
     pub interrupt: Interrupt,
 }
@@ -154,6 +157,7 @@ impl Default for CameraOptions {
             shutter: Shutter::Auto,
             given: Vec::new(),
             start: None,
+            copies_count: false,
             interrupt: Interrupt::default(),
         }
     }

@@ -213,6 +213,8 @@ fn fit_jointly(
     alone: &[(Prepared, CameraFit)],
 ) -> Result<CameraFit, EstimationError> {
     let (sensor_from_rig, rig_from_board) = place_sensors(problem, alone)?;
+    // Of frame sets whose every view was rejected, where a sensor by itself locates the board.
+    let mut located = rig_from_board.clone();
     let (mut observations, mut faults) = (Vec::new(), Vec::new());
     for (index, (sensor, (_, fit))) in problem.sensors.iter().zip(alone).enumerate() {
         let noise = own_noise(fit);
@@ -225,6 +227,10 @@ fn fit_jointly(
             observation.inverse_std.iter_mut().for_each(|inverse| *inverse /= noise);
             observations.push(observation);
             let own = fit.robust.minimum.state.rig_from_board[view];
+            let residuals = &fit.robust.minimum.equations.residuals[view];
+            if residuals.iter().any(|residual| residual[0].is_finite()) {
+                located[*frame_set].get_or_insert_with(|| sensor_from_rig[index].inverse() * own);
+            }
             let expected = rig_from_board
                 .get(*frame_set)
                 .copied()
@@ -237,16 +243,20 @@ fn fit_jointly(
     let state = State {
         lenses: alone.iter().map(|(_, fit)| *fit.lens()).collect(),
         sensor_from_rig,
-        rig_from_board: rig_from_board
-            .into_iter()
-            .map(|pose| pose.unwrap_or(Pose::identity()))
-            .collect(),
+        rig_from_board: located.iter().map(|pose| pose.unwrap_or(Pose::identity())).collect(),
         warp: [0.0; 2],
     };
     let lenses = alone.iter().map(|(_, fit)| fit.layout.sensors[0].lens.clone()).collect();
     let layout = Layout::new(lenses, None).ended_by(&alone[0].1.layout.interrupt);
-    let robust =
+    let mut robust =
         robust_fit(&layout, state, &mut observations, &mut faults).ok_or(EstimationError::NoFit)?;
+    let residuals = &mut robust.minimum.equations.residuals;
+    for (residuals, observation) in residuals.iter_mut().zip(&observations) {
+        if located[observation.frame_set].is_none() {
+            // Nobody knows where the board was.
+            residuals.fill([f64::INFINITY; 2]);
+        }
+    }
     Ok(CameraFit::new(layout, robust, observations, faults))
 }
 

@@ -8,7 +8,7 @@ use crate::estimation::interrupt::Interrupt;
 use crate::estimation::joint::{BoardObservation, State};
 use crate::estimation::measured_board::MeasuredBoard;
 use crate::estimation::planar_pose::{Shape, pose_from_bearings};
-use crate::estimation::problem::{CameraProblem, CameraStart};
+use crate::estimation::problem::{CameraOptions, CameraProblem, CameraStart};
 use crate::estimation::view_fault::{ViewFault, mislabeling};
 use crate::estimation::zhang::{self, Skew};
 use crate::geometry::camera_matrix::CameraMatrix;
@@ -112,6 +112,24 @@ impl Prepared {
             observations,
             views,
             interrupt,
+        }
+    }
+
+    /// Names the views that have each corner where one before them has it, unless copies count: of
+    /// two images noise leaves none so.
+    pub(crate) fn name_copies(&mut self, options: &CameraOptions) {
+        if options.copies_count {
+            return;
+        }
+        let is_copy = |one: &BoardObservation, other: &BoardObservation| {
+            one.pixels == other.pixels && one.points == other.points
+        };
+        for (index, observation) in self.observations.iter().enumerate() {
+            let before = &self.observations[..index];
+            let original = before.iter().position(|before| is_copy(before, observation));
+            if let (Some(original), None) = (original, self.views[index].fault) {
+                self.views[index].fault = Some(ViewFault::Copied { number: original + 1 });
+            }
         }
     }
 

@@ -16,6 +16,12 @@ pub enum ViewFault {
         /// How many it takes.
         needed: usize,
     },
+    /// Sent twice: it says nothing new, and counted as new it would narrow every uncertainty.
+    #[error("a copy of view {number} of these: it counts once")]
+    Copied {
+        /// That view's place among all, from 1.
+        number: usize,
+    },
     /// The board's points are on one line or in one place.
     #[error("its board points lie on one line or in one place")]
     PointsOnLine,

@@ -338,16 +338,20 @@ impl Teaching {
         };
         self.known = LensInformation::prior(estimate.lens, self.size);
         self.goal = ProjectionGoal::new(&estimate.lens, self.size, self.goal.figure());
+        let mut start = estimate.to_start();
+        let poses = std::mem::take(&mut start.camera_from_board);
         let views = std::mem::take(&mut self.views);
-        self.views = views
+        (self.views, start.camera_from_board) = views
             .into_iter()
             .zip(&estimate.views)
-            .filter_map(|(view, placed)| {
+            .zip(poses)
+            .filter_map(|((view, placed), pose)| {
                 let camera_from_board = placed.camera_from_board.unwrap_or(view.camera_from_board);
-                self.placed(view.number, view.seen, view.blur_px, camera_from_board)
+                let view = self.placed(view.number, view.seen, view.blur_px, camera_from_board)?;
+                Some((view, pose))
             })
-            .collect();
-        self.start = Some(estimate.to_start());
+            .unzip();
+        self.start = Some(start);
     }
 
     fn sum_up(&mut self) {

@@ -24,6 +24,11 @@ const MAX_OWN: usize = 150;
 /// A polynomial that those before it explain but for this part of its square is none on this grid.
 const LEAST_REST: f64 = 1e-4;
 
+/// Distinct points times views, beyond which points of one board are no longer expected: products of
+/// the shape with each view's pose and motion take 288 bytes each. 100 by 100 corners in 100 views,
+/// or 54 in 18,000, are as many.
+const MOST_PRODUCTS: usize = 1_000_000;
+
 /// Points closer than this part of the board's extent are one.
 const SAME_POINT: f64 = 1e-5;
 
@@ -49,7 +54,8 @@ pub(crate) struct BoardBasis {
 }
 
 impl BoardBasis {
-    /// `None` where the points do not lie near one plane z = const, or are too few.
+    /// `None` where the points do not lie near one plane z = const, are too few, or are more than
+    /// views of one board have.
     /// `in_detail` in place of whether there is a shape at all.
     pub(crate) fn of(observations: &[BoardObservation], in_detail: bool) -> Option<Self> {
         let all = || observations.iter().flat_map(|observation| &observation.points);
@@ -64,6 +70,9 @@ impl BoardBasis {
         let mut keys: Vec<([i64; 2], Point3<f64>)> = all().map(|p| (key(p), *p)).collect();
         keys.sort_by_key(|(key, _)| *key);
         keys.dedup_by_key(|(key, _)| *key);
+        if keys.len().saturating_mul(observations.len()) > MOST_PRODUCTS {
+            return None;
+        }
         let index = |p: &Point3<f64>| keys.binary_search_by_key(&key(p), |(key, _)| *key).ok();
         let point_of = observations
             .iter()

@@ -110,7 +110,11 @@ impl<'a> Planes<'a> {
                 sensor: 1,
                 frame_set,
                 inverse_std: tiles.iter().map(inverse_std).collect(),
-                used: vec![true; tiles.len()],
+                // A lens that was refitted since the tiles were found may not see all of them.
+                used: tiles
+                    .iter()
+                    .map(|tile| ray(&depth_state.lenses[1], tile).is_some())
+                    .collect(),
                 tiles,
             }
         });
