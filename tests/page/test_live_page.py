@@ -3,6 +3,7 @@
 Start, watch, reload in the middle, stop, read the verdict. The browser is Debian's chromium through its chromedriver.
 """
 
+import contextlib
 import json
 import os
 import pathlib
@@ -21,15 +22,20 @@ PLUMB = ROOT / os.environ.get("PLUMB", "target/debug/plumb")
 PATIENCE_S = 60
 
 
-@pytest.fixture
-def daemon(tmp_path):
-    """A daemon that replays the bundled walk as fast as a camera would give it; its address."""
-    config = tmp_path / "plumb.toml"
-    recording = ROOT / "recordings" / "walk.mcap"
-    config.write_text(
-        f'[store]\npath = "{tmp_path}/store"\n[[camera]]\nname = "front"\n'
-        f'source = {{ kind = "recording", path = "{recording}", pace = "recorded", repeat = true }}\n'
+def camera_table(name, recording):
+    """The configuration of a camera that replays a recording as fast as a camera would give it."""
+    path = ROOT / "recordings" / recording
+    return (
+        f'[[camera]]\nname = "{name}"\n'
+        f'source = {{ kind = "recording", path = "{path}", pace = "recorded", repeat = true }}\n'
     )
+
+
+@contextlib.contextmanager
+def served(folder, tables):
+    """A running daemon; its address."""
+    config = folder / "plumb.toml"
+    config.write_text(f'[store]\npath = "{folder}/store"\n{tables}')
     command = [PLUMB, "serve", "--config", config, "--listen", "127.0.0.1:0"]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env={**os.environ, "RUST_LOG": "info"})
     address = None
@@ -46,6 +52,21 @@ def daemon(tmp_path):
 
 
 @pytest.fixture
+def daemon(tmp_path):
+    """A daemon that replays the bundled walk."""
+    with served(tmp_path, camera_table("front", "walk.mcap")) as address:
+        yield address
+
+
+@pytest.fixture
+def rig_daemon(tmp_path):
+    """A daemon with a rig of two cameras."""
+    cameras = camera_table("left", "rig-left.mcap") + camera_table("right", "rig-right.mcap")
+    with served(tmp_path, f'{cameras}[[rig]]\nname = "head"\ncameras = ["left", "right"]\n') as address:
+        yield address
+
+
+@pytest.fixture
 def browser():
     options = webdriver.ChromeOptions()
     options.binary_location = "/usr/bin/chromium"
@@ -59,8 +80,10 @@ def browser():
     assert errors == []
 
 
-def ask(address, path):
-    with urllib.request.urlopen(address + path) as response:
+def ask(address, path, method="GET", document=None):
+    body = json.dumps(document).encode() if document else None
+    request = urllib.request.Request(address + path, body, {"Content-Type": "application/json"}, method=method)
+    with urllib.request.urlopen(request) as response:
         return json.load(response)
 
 
@@ -136,6 +159,20 @@ def test_the_keyboard_is_enough_and_errors_are_shown(daemon, browser):
     wait(browser, lambda b: b.find_element(By.ID, "session-title").text == "No calibration")
     assert shown(browser, "session-reason").text
     assert browser.find_element(By.ID, "start-form").is_displayed(), "one can begin again at once"
+
+
+def test_a_camera_in_a_rigs_session_names_the_rig_until_it_is_free(rig_daemon, browser):
+    target = {"kind": "chessboard", "cols": 8, "rows": 6, "square_m": 0.03}
+    session = ask(rig_daemon, "/v1/rigs/head/sessions", "POST", {"target": target})["id"]
+    browser.get(f"{rig_daemon}/#left")
+    wait(browser, lambda b: "session of the rig head" in b.find_element(By.ID, "loading").text)
+    assert not browser.find_element(By.ID, "session").is_displayed(), "its buttons act on the whole rig"
+    assert not browser.find_element(By.ID, "start-form").is_displayed()
+
+    ask(rig_daemon, f"/v1/sessions/{session}", "DELETE")
+    shown(browser, "start-form")
+    assert not browser.find_element(By.ID, "loading").is_displayed()
+    assert not browser.find_element(By.ID, "session").is_displayed()
 
 
 def test_the_board_in_view_fills_the_form(daemon, browser):

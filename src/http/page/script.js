@@ -18,6 +18,7 @@ let rig = null;         // the rig document, where a rig is shown
 let session = null;     // the session that is shown
 let result = null;      // the calibration that is shown
 let views = [];         // the views of the session that is shown
+let heldBy = null;      // the id of the rig's session that the camera is in
 let events = null;
 let flashTimer = 0;
 let viewsOf = null;
@@ -62,7 +63,8 @@ function drawn(name, attributes) {
 const home = () => (rig ? at`/v1/rigs/${rig.name}` : at`/v1/cameras/${camera.name}`);
 const later = (act) => setTimeout(() => { act().catch(() => later(act)); }, 2000);
 // Until the daemon has said what there is, nothing is shown that could be taken for it.
-function wait(text) {
+function wait(text, held = null) {
+  heldBy = held;
   for (const id of ["start-form", "session", "result", "kept", "past"]) show(id, false);
   say("loading", text);
 }
@@ -130,12 +132,14 @@ function listSensors() {
 
 async function showNewest() {
   const { sessions } = await ask(at`/v1/sessions?camera=${camera.name}`);
-  await setSession(sessions[0] || null);
+  // The list of a camera has the sessions of its rigs too.
+  const own = sessions.filter((one) => one.camera === camera.name);
+  await setSession(own[0] || null);
   say("loading", "");
   await showHistory();
-  if (!rig && camera.session && !sessions.some((one) => one.id === camera.session)) {
+  if (!rig && camera.session && !own.some((one) => one.id === camera.session)) {
     const held = await ask(at`/v1/sessions/${camera.session}`);
-    wait(`This camera is in a session of the rig ${held.camera}: choose it above to see how far it is.`);
+    wait(`This camera is in a session of the rig ${held.camera}: choose it above to see how far it is.`, held.id);
   }
 }
 
@@ -148,6 +152,10 @@ function showCamera() {
   const dropped = camera.dropped_frames ? `${camera.dropped_frames} dropped` : "";
   say("figures", [camera.backend, size, rate, dropped].filter(Boolean).join(" · "));
   say("camera-reason", camera.reason);
+  if (heldBy && camera.session !== heldBy) {
+    heldBy = null;
+    showNewest().catch(() => later(showNewest));
+  }
   if (sensor) $("overlay").setAttribute("viewBox", `-0.5 -0.5 ${sensor.image_size[0]} ${sensor.image_size[1]}`);
 }
 
