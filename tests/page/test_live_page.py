@@ -59,6 +59,13 @@ def daemon(tmp_path):
 
 
 @pytest.fixture
+def approving_daemon(tmp_path):
+    """The same, where a person approves."""
+    with served(tmp_path, camera_table("front", "walk.mcap") + "[calibration]\nauto_approve = false\n") as address:
+        yield address
+
+
+@pytest.fixture
 def rig_daemon(tmp_path):
     """A daemon with a rig of two cameras."""
     cameras = camera_table("left", "rig-left.mcap") + camera_table("right", "rig-right.mcap")
@@ -84,7 +91,8 @@ def ask(address, path, method="GET", document=None):
     body = json.dumps(document).encode() if document else None
     request = urllib.request.Request(address + path, body, {"Content-Type": "application/json"}, method=method)
     with urllib.request.urlopen(request) as response:
-        return json.load(response)
+        text = response.read()
+        return json.loads(text) if text else None
 
 
 def wait(browser, condition):
@@ -173,6 +181,24 @@ def test_a_camera_in_a_rigs_session_names_the_rig_until_it_is_free(rig_daemon, b
     shown(browser, "start-form")
     assert not browser.find_element(By.ID, "loading").is_displayed()
     assert not browser.find_element(By.ID, "session").is_displayed()
+
+
+def test_a_deleted_result_leaves_a_way_to_begin_again(approving_daemon, browser):
+    daemon = approving_daemon
+    browser.get(daemon)
+    start_session(browser)
+    wait(browser, lambda b: number(b, "n-views") >= 4)
+    shown(browser, "stop").click()
+    shown(browser, "verdict")
+    calibration = ask(daemon, "/v1/cameras/front/calibrations")["calibrations"][0]["id"]
+    ask(daemon, f"/v1/calibrations/{calibration}", "DELETE")
+
+    browser.refresh()
+    assert calibration in shown(browser, "start-error").text
+    assert browser.find_element(By.ID, "start").is_displayed()
+    assert not browser.find_element(By.ID, "result").is_displayed()
+    # The browser logs the 404 that the page shows.
+    browser.get_log("browser")
 
 
 def test_the_board_in_view_fills_the_form(daemon, browser):

@@ -533,9 +533,14 @@ async function showResult(id) {
   try {
     result = await ask(at`/v1/calibrations/${id}`);
   } catch (error) {
-    say("session-error", error.message);
+    // Neither a session that is over nor a result is on the page: one can begin again at once.
+    result = null;
+    show("result", false);
+    show("start-form", true);
+    say("start-error", error.message);
     return;
   }
+  say("start-error", "");
   const imageSensors = imageSensorsOf(result);
   const { grade, reasons } = result.verdict;
   say("verdict", VERDICTS[grade], "");
