@@ -84,11 +84,15 @@ pub(super) async fn frame(
 }
 
 /// The frames as they come, each drawn over with what was found, as multipart JPEG.
+///
+/// What cannot be shown of the newest frame is refused as by `frame.jpg`; before the first frame it
+/// waits.
 #[utoipa::path(get, path = "/v1/cameras/{camera}/preview.mjpg", tag = "cameras",
     params(("camera" = String, Path, description = "its name in the configuration"), DrawingParameters),
     responses(
         (status = 200, description = "an endless image", body = Vec<u8>, content_type = "multipart/x-mixed-replace"),
-        (status = 404, description = "no such camera", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "no such camera, or it has no such sensor", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "no calibration to undistort, rectify or register with, or one of images of another size", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "an unknown sensor, or an alpha that is not from 0 to 1", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "too many watch", body = Problem, content_type = "application/problem+json"),
     ))]
@@ -99,6 +103,13 @@ pub(super) async fn preview(
     Asked(parameters): Asked<DrawingParameters>,
 ) -> Result<Response, Problem> {
     let drawing = drawing(&parameters, true)?;
+    let (fleet, asked) = (Arc::clone(&shared.fleet), camera.clone());
+    let newest = on_a_blocking_thread(move || fleet.newest_frame(&asked, drawing)).await?;
+    if let Err(error) = newest
+        && !error.is_of_one_frame()
+    {
+        return Err(error.into());
+    }
     let frames = shared.fleet.preview(&camera, drawing)?;
     let place = shared.stream_place()?;
     let parts = futures_util::stream::unfold((frames, place), |(mut frames, place)| async move {

@@ -150,8 +150,14 @@ fn a_camera_is_shown_with_its_image() {
     for query in ["", "?overlay=true", "?sensor=color&overlay=true&undistorted=false"] {
         is_jpeg(&served.get(&format!("/v1/cameras/front/frame.jpg{query}")), (640, 480));
     }
-    is_problem(&served.get("/v1/cameras/front/frame.jpg?sensor=depth"), 404);
-    is_problem(&served.get("/v1/cameras/front/frame.jpg?undistorted=true"), 409);
+    // A preview of what cannot be shown would be silent for ever.
+    for path in ["frame.jpg", "preview.mjpg"] {
+        let refused = |query: &str| served.get(&format!("/v1/cameras/front/{path}?{query}"));
+        is_problem(&refused("sensor=depth"), 404);
+        for uncalibrated in ["undistorted=true", "rectified=true"] {
+            is_problem(&refused(uncalibrated), 409);
+        }
+    }
     assert_eq!(
         is_problem(&served.get("/v1/cameras/front/frame.jpg?sensor=x"), 422)["field"],
         "sensor"

@@ -89,3 +89,10 @@ pub enum PreviewError {
     #[error(transparent)]
     Store(#[from] StoreError),
 }
+
+impl PreviewError {
+    /// Whether it is of the newest frame alone: a later one may be shown.
+    pub fn is_of_one_frame(&self) -> bool {
+        matches!(self, Self::NoFrame { .. } | Self::Missing { .. } | Self::Unreadable(_))
+    }
+}
