@@ -159,7 +159,9 @@ pub(super) async fn abort(
 ) -> Result<Json<SessionDocument>, Problem> {
     if parameters.flag("purge")?.unwrap_or(false) {
         let record = session(&shared, &id).await?;
-        shared.stored(move |store| store.delete_session(&id)).await?;
+        let deleted = id.clone();
+        shared.stored(move |store| store.delete_session(&deleted)).await?;
+        shared.fleet.forget_session(&id).await;
         return Ok(Json((&record).into()));
     }
     let aborted = match shared.fleet.abort_session(&id).await {

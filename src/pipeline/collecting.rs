@@ -270,6 +270,15 @@ impl SessionThread {
         self.show();
         Ok(record)
     }
+
+    /// Has no session any more, if it is this one and over.
+    pub(super) fn forget(&mut self, id: &str) {
+        let is_over =
+            |session: &Session| session.record().id == id && session.record().state.is_over();
+        if self.session.take_if(|session| is_over(session)).is_some() {
+            self.instrument.session.send_replace(None);
+        }
+    }
 }
 
 fn give_back(camera: &LiveCamera, session: &str) {

@@ -92,6 +92,16 @@ impl Fleet {
         Ok(record)
     }
 
+    /// Forgets session `id`, which is over and was deleted from the store.
+    pub async fn forget_session(&self, id: &str) {
+        let Some(owner) = self.owner(id) else { return };
+        let (reply, answer) = oneshot::channel();
+        // A thread that has ended shows nothing any more: the daemon stops.
+        if owner.messages.send(Message::Forget(id.to_owned(), reply)).await.is_ok() {
+            let _ = answer.await;
+        }
+    }
+
     /// Waits until session `id` has ended.
     ///
     /// # Errors

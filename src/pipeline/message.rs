@@ -47,6 +47,8 @@ pub(super) enum Message {
     Stop(String, EndReply),
     /// Give it up.
     Abort(String, EndReply),
+    /// It was deleted: nobody is to see it any more. Answered once that holds.
+    Forget(String, oneshot::Sender<()>),
     /// Check whether to stop.
     Wake,
 }

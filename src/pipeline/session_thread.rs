@@ -137,6 +137,10 @@ impl SessionThread {
             Message::Abort(id, reply) => {
                 let _ = reply.send(self.end(&id, Session::abort));
             }
+            Message::Forget(id, reply) => {
+                self.forget(&id);
+                let _ = reply.send(());
+            }
             _ => {}
         }
     }

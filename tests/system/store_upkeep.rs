@@ -62,6 +62,20 @@ fn sessions_come_in_pages_and_are_deleted_on_request() {
     assert_eq!(served.delete(&format!("/v1/sessions/{}?purge=true", ids[2])).status, 200);
     assert_eq!(served.get(&format!("/v1/sessions/{}", ids[2])).status, 404);
     assert_eq!(listed(&served, "").0, ids[..2]);
+
+    // The newest is the one that its camera still has.
+    let newest = format!("/v1/sessions/{}", ids[0]);
+    let purged = format!("{newest}?purge=true");
+    assert_eq!(served.delete(&purged).status, 200);
+    for path in [newest.clone(), format!("{newest}/views"), format!("{newest}/uncertainty.png")] {
+        assert_eq!(served.get(&path).status, 404, "{path}");
+    }
+    for path in [&newest, &purged] {
+        assert_eq!(served.delete(path).status, 404, "{path}");
+    }
+    assert_eq!(served.post_nothing(&format!("{newest}/stop")).status, 404);
+    assert_eq!(listed(&served, "").0, [ids[1].clone()]);
+    start_and_abort(&served);
 }
 
 #[test]
