@@ -348,9 +348,9 @@ pub struct SessionViewDocument {
     pub reason: Option<String>,
     /// Its reprojection error in the session's calibration, in pixels.
     pub rms_px: Option<f64>,
-    /// Seen minus predicted for each corner, in pixels, on the board as the calibration measured it
-    /// and without motion while rows were read; null before there is a calibration, for a view
-    /// without a pose, and without a board.
+    /// Measured minus projected for each corner, in pixels, on the board as the calibration
+    /// measured it; null before there is a calibration, for a view without a pose, without a board,
+    /// and where the calibration has `rolling_shutter`: each view's motion is not kept.
     pub residuals_px: Option<Vec<[f64; 2]>>,
     /// Where the board was, by the session's calibration.
     pub camera_from_board: Option<PoseDocument>,

@@ -156,15 +156,20 @@ fn view_document(
     })
 }
 
-/// Seen minus predicted, corner by corner, on the board as it was measured; `None` for a view
-/// without a pose. Motion while rows were read is not predicted. A rig's solve may have rotated the
-/// labels of a board that is alike both ways by half a turn: those that fit are meant.
+/// Measured minus projected, corner by corner, on the board as it was measured; `None` for a view
+/// without a pose. Where motion while rows were read was estimated there is `None` too: what each
+/// view's was is not kept, and without it residuals would contradict the view's `rms_px`. A rig's
+/// solve may have rotated the labels of a board that is alike both ways by half a turn: those that
+/// fit are meant.
 fn residuals_px(
     detection: &Detection,
     sensor: &ImageCalibration,
     calibrated: &CalibratedView,
     target: Target,
 ) -> Option<Vec<[f64; 2]>> {
+    if sensor.rolling_shutter.is_some() {
+        return None;
+    }
     let camera_from_board = calibrated.camera_from_board?;
     let residual = |corner: &DetectedCorner, is_rotated: bool| {
         let (BoardSize { cols, rows }, GridIndex { col, row }) = (target.lattice(), corner.index);
@@ -183,4 +188,43 @@ fn residuals_px(
         |residuals: &Vec<[f64; 2]>| -> f64 { residuals.iter().flatten().map(|r| r * r).sum() };
     let either = [false, true].into_iter().filter_map(all);
     either.min_by(|a, b| square(a).total_cmp(&square(b)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibration::view::FrameFacts;
+    use crate::document::{calibration, detection};
+    use crate::estimation::measured_board::RollingShutter;
+    use crate::geometry::pixel::ImageSize;
+
+    #[test]
+    fn residuals_are_null_where_motion_is_not_kept() {
+        let mut calibration = calibration::tests::example();
+        let frame = FrameFacts {
+            sequence: 0,
+            name: Some("left01.jpg".into()),
+            host_time_ns: 0,
+            device_time_ns: None,
+            image_size: ImageSize::new(640, 480),
+        };
+        let view = SensorView {
+            frame_set: 0,
+            sensor: SensorId::own(SensorKind::Color),
+            number: Some(0),
+            frame,
+            depth_encoding: None,
+            detection: Some(detection::tests::example()),
+        };
+        let shown = |calibration: &Calibration| {
+            view_document("s", None, &view, 0, Some(calibration)).unwrap()
+        };
+        let still = shown(&calibration);
+        assert_eq!(still.residuals_px.as_ref().map(Vec::len), Some(still.corners_px.len()));
+        calibration.image_mut(&SensorId::own(SensorKind::Color)).unwrap().rolling_shutter =
+            Some(RollingShutter { translation_m: 0.01, rotation_rad: 0.0, agreement: 1.0 });
+        let moving = shown(&calibration);
+        assert_eq!(moving, SessionViewDocument { residuals_px: None, ..still });
+        assert!(moving.rms_px.is_some() && moving.camera_from_board.is_some());
+    }
 }
