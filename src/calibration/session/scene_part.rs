@@ -20,6 +20,9 @@ const LEAST_KEY_FRAMES_FOR_GOAL: u32 = 6;
 /// What to do before the first estimate.
 const FIRST_STEP: &str =
     "step sideways, keeping the scene in view, and turn the camera by 90 degrees now and then";
+/// Why images share nothing with those before, and what to do.
+const STEPS_TOO_LARGE: &str =
+    "the steps were too large for images to share anything; start again with smaller ones";
 
 /// One camera's part of a session without a target.
 #[derive(Debug, Clone)]
@@ -135,7 +138,7 @@ impl ScenePart {
     pub(super) fn enough(&self) -> Result<(), String> {
         let kept = self.key_frames.len();
         if kept >= LEAST_VIEWS {
-            return Ok(());
+            return self.check_connected();
         }
         let rejected = |kind: &&str| self.summary.rejected.of(kind);
         let most = ["too_similar", "unknown_scene", "no_texture"].into_iter().max_by_key(rejected);
@@ -143,9 +146,7 @@ impl ScenePart {
             Some("too_similar") => {
                 "the camera stood still or hardly moved; start again and move it around the scene"
             }
-            Some("unknown_scene") => {
-                "the steps were too large for images to share anything; start again with smaller ones"
-            }
+            Some("unknown_scene") => STEPS_TOO_LARGE,
             Some(_) => {
                 "the images have too little texture or are blurred; start again in front of something with texture"
             }
@@ -154,8 +155,26 @@ impl ScenePart {
         Err(format!("{kept} key frames were kept and at least {LEAST_VIEWS} are needed: {why}"))
     }
 
+    /// Refuses a few key frames among images most of which share nothing with them, as a solve of all
+    /// of them does: of the key frames alone it has no sign of the others. More key frames that share
+    /// something are an answer, whatever the camera saw besides.
+    fn check_connected(&self) -> Result<(), String> {
+        let (unknown, shared) =
+            (self.summary.rejected.of("unknown_scene"), self.summary.boards_seen);
+        if unknown <= shared || self.key_frames.len() >= LEAST_KEY_FRAMES_FOR_GOAL as usize {
+            return Ok(());
+        }
+        let images = unknown + shared;
+        Err(format!(
+            "{unknown} of {images} images share too little with the key frames: {STEPS_TOO_LARGE}"
+        ))
+    }
+
     /// Whether the key frames reach the goals of `finish` but for its time.
     pub(super) fn reaches(&self, finish: &Finish) -> bool {
+        if self.check_connected().is_err() {
+            return false;
+        }
         match (finish.uncertainty_px, finish.min_views) {
             (None, None) => false,
             (None, Some(least)) => self.summary.views_kept >= least.max(LEAST_VIEWS as u32),

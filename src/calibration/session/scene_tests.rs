@@ -158,6 +158,34 @@ fn a_camera_that_stands_still_has_too_few_views_and_the_reason() {
 }
 
 #[test]
+fn key_frames_among_images_that_share_nothing_are_not_solved() {
+    let unconnected = |unknown: u64| {
+        let finish = Finish { min_views: Some(5), ..Finish::default() };
+        let (mut scene, mut walk) = (SeededScene::of(5, 900), Walk::begin(Some(finish)));
+        for k in 0..4 {
+            assert_eq!(walk.show(scene.image([0.6 * f64::from(k), 0.0, 0.0], 0.0)), Ok(k));
+        }
+        for k in 0..unknown {
+            let other = SeededScene::of(50 + k, 700).image([0.0; 3], 0.0);
+            assert_eq!(walk.show(other), Err("unknown_scene"));
+        }
+        (scene, walk)
+    };
+    let (_, mut walk) = unconnected(4);
+    assert_eq!(walk.session.stop(0).unwrap(), [Action::Announce, Action::Solve]);
+    let (_, mut walk) = unconnected(5);
+    assert_eq!(walk.session.stop(0).unwrap(), [Action::Close]);
+    let reason = walk.session.record().reason.clone().unwrap();
+    assert!(reason.starts_with("5 of 9 images") && reason.contains("smaller"), "{reason}");
+    // The goal is reached once most images share something.
+    let (mut scene, mut walk) = unconnected(6);
+    assert_eq!(walk.show(scene.image([2.4, 0.0, 0.0], 0.0)), Ok(4));
+    assert_eq!(walk.session.record().state, SessionState::Collecting);
+    assert_eq!(walk.show(scene.image([2.4, 0.0, 0.0], 0.0)), Err("too_similar"));
+    assert_eq!(walk.session.record().state, SessionState::Solving);
+}
+
+#[test]
 fn it_holds_so_many_key_frames_ends_by_itself_and_comes_back_over_a_restart() {
     let mut scene = SeededScene::of(5, 900);
     let places = |k: u32| {
