@@ -8,6 +8,10 @@ use crate::detection::board_detection::{Detection, NoBoard};
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::no_image::NoImage;
 
+/// Why a session has too few views where most frames were rejected for their size, and what to do.
+pub(super) const SIZE_CHANGED: &str =
+    "the images changed size during the session; keep the camera at one size and start again";
+
 /// Why a frame did not become a view.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Rejection {
@@ -186,6 +190,12 @@ impl Rejections {
     /// How often `kind` rejected a frame.
     pub fn of(&self, kind: &str) -> u64 {
         self.counts.get(kind).copied().unwrap_or(0)
+    }
+
+    /// The kind that rejected most frames, if any was rejected.
+    pub fn most_frequent(&self) -> Option<&'static str> {
+        let most = self.iter().max_by_key(|(_, count)| *count);
+        most.filter(|(_, count)| *count > 0).map(|(kind, _)| kind)
     }
 
     /// Becomes the sum of others.

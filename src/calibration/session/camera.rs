@@ -1,6 +1,6 @@
 //! What one camera of an instrument has gathered in a session, of a board or of a scene.
 
-use crate::calibration::admission::{AdmissionOptions, Rejection};
+use crate::calibration::admission::{AdmissionOptions, Rejection, SIZE_CHANGED};
 use crate::calibration::information::next_view::SuggestedView;
 use crate::calibration::placement::Placement;
 use crate::calibration::running_estimate::{EstimateSoFar, GoingOn};
@@ -120,10 +120,16 @@ impl CameraPart {
         match self {
             Self::Scene(scene) => scene.enough(),
             Self::Board(_) if self.has_enough() => Ok(()),
-            Self::Board(board) => Err(format!(
-                "{} views were kept and at least {LEAST_VIEWS} are needed; start again and show the board in more positions, tilted in different directions",
-                board.views().len()
-            )),
+            Self::Board(board) => {
+                let why = match board.summary().rejected.most_frequent() {
+                    Some("other_image_size") => SIZE_CHANGED,
+                    _ => {
+                        "start again and show the board in more positions, tilted in different directions"
+                    }
+                };
+                let kept = board.views().len();
+                Err(format!("{kept} views were kept and at least {LEAST_VIEWS} are needed; {why}"))
+            }
         }
     }
 

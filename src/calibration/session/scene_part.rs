@@ -1,7 +1,7 @@
 //! What a camera has gathered of a scene in a session without a target: its key frames, what to do
 //! next, and how far its lens is known.
 
-use crate::calibration::admission::{AdmissionOptions, Rejection};
+use crate::calibration::admission::{AdmissionOptions, Rejection, SIZE_CHANGED};
 use crate::calibration::coverage::Coverage;
 use crate::calibration::guidance::{Guidance, obstacle};
 use crate::calibration::scene::correspondence::SceneImage;
@@ -141,12 +141,14 @@ impl ScenePart {
             return self.check_connected();
         }
         let rejected = |kind: &&str| self.summary.rejected.of(kind);
-        let most = ["too_similar", "unknown_scene", "no_texture"].into_iter().max_by_key(rejected);
+        let kinds = ["too_similar", "unknown_scene", "no_texture", "other_image_size"];
+        let most = kinds.into_iter().max_by_key(rejected);
         let why = match most.filter(|kind| rejected(kind) > 0) {
             Some("too_similar") => {
                 "the camera stood still or hardly moved; start again and move it around the scene"
             }
             Some("unknown_scene") => STEPS_TOO_LARGE,
+            Some("other_image_size") => SIZE_CHANGED,
             Some(_) => {
                 "the images have too little texture or are blurred; start again in front of something with texture"
             }

@@ -158,6 +158,18 @@ fn a_camera_that_stands_still_has_too_few_views_and_the_reason() {
 }
 
 #[test]
+fn images_that_change_size_are_the_reason() {
+    let (mut scene, mut walk) = (SeededScene::of(3, 700), Walk::begin(None));
+    assert_eq!(walk.show(scene.image([0.0; 3], 0.0)), Ok(0));
+    let mut other = scene.image([0.6, 0.0, 0.0], 0.0);
+    other.size = ImageSize::new(1280, 960);
+    assert_eq!(walk.show(other), Err("other_image_size"));
+    walk.session.stop(0).unwrap();
+    let reason = walk.session.record().reason.clone().unwrap();
+    assert!(reason.ends_with("keep the camera at one size and start again"), "{reason}");
+}
+
+#[test]
 fn key_frames_among_images_that_share_nothing_are_not_solved() {
     let unconnected = |unknown: u64| {
         let finish = Finish { min_views: Some(5), ..Finish::default() };

@@ -248,6 +248,22 @@ fn too_few_views_fail_and_stay() {
 }
 
 #[test]
+fn images_that_change_size_are_the_reason() {
+    let mut session = session(None);
+    feed(&mut session, 0, &placements()[..1]);
+    let still = detection_at(Vector3::new(0.0, 0.0, 0.5), Vector3::zeros());
+    for n in 1..3 {
+        let other_size = FrameFacts { image_size: ImageSize::new(1280, 960), ..frame(n) };
+        let admission = admitted(&mut session, &other_size, Ok(&still));
+        assert_eq!(admission.unwrap_err().kind(), "other_image_size");
+    }
+    session.stop(NOW_NS).unwrap();
+    let reason = session.record().reason.clone().unwrap();
+    assert!(reason.starts_with("1 views were kept and at least 3 are needed; "), "{reason}");
+    assert!(reason.ends_with("keep the camera at one size and start again"), "{reason}");
+}
+
+#[test]
 fn an_aborted_solve_changes_nothing_any_more() {
     let mut session = session(None);
     feed(&mut session, 0, &placements());
