@@ -17,6 +17,7 @@ pub mod focus;
 pub mod image_sensor;
 pub mod lens;
 pub mod lens_model;
+mod objects_only;
 pub mod pose;
 pub mod problem;
 pub mod reading;

@@ -5,16 +5,17 @@ use serde::de::{DeserializeOwned, IgnoredAny};
 use serde_json::error::Category;
 
 use crate::document::error::DocumentError;
+use crate::document::objects_only::ObjectsOnly;
 
 /// Reads a document.
 ///
 /// # Errors
 /// [`DocumentError::Field`] with the field's path when a field is missing, unknown, of the wrong
-/// shape, or holds what JSON has no number for (`NaN`, `Infinity`, 1e999);
+/// shape (an array is no object), or holds what JSON has no number for (`NaN`, `Infinity`, 1e999);
 /// [`DocumentError::Syntax`] when the text is not JSON at all.
 pub fn from_json<T: DeserializeOwned>(json: &[u8]) -> Result<T, DocumentError> {
     let mut reader = serde_json::Deserializer::from_slice(json);
-    let document = serde_path_to_error::deserialize(&mut reader).map_err(|e| {
+    let document = serde_path_to_error::deserialize(ObjectsOnly(&mut reader)).map_err(|e| {
         let path = e.path().to_string();
         located(json, &path, &e.into_inner())
     })?;
@@ -135,6 +136,7 @@ fn not_a_number_at(json: &[u8], error: &serde_json::Error) -> Option<String> {
 mod tests {
     use super::*;
     use crate::document::problem::ProblemDocument;
+    use crate::document::session::StartDocument;
 
     #[test]
     fn errors_name_the_field_in_one_line() {
@@ -188,6 +190,23 @@ mod tests {
             let error = from_json::<ProblemDocument>(json.as_bytes()).unwrap_err();
             assert_eq!(error.to_string(), expected, "for {json}");
         }
+    }
+
+    #[test]
+    fn an_array_is_no_object_at_any_depth() {
+        let table = [
+            (r#"[["chessboard",9,6,0.025]]"#, "document"),
+            (r#"{"target":["chessboard",9,6,0.025]}"#, "target"),
+            (r#"{"target":{"kind":"scene"},"finish":[5]}"#, "finish"),
+            (r#"{"target":{"kind":"scene"},"finish":[]}"#, "finish"),
+        ];
+        for (json, field) in table {
+            let error = from_json::<StartDocument>(json.as_bytes()).unwrap_err();
+            assert_eq!(error.to_string(), format!("{field}: is an array, expected an object"));
+        }
+        let views = br#"{"image_size":[640,480],"views":[["a",[[0,0,0]],[[1,2]]]]}"#;
+        let error = from_json::<ProblemDocument>(views).unwrap_err();
+        assert_eq!(error.to_string(), "views[0]: is an array, expected an object");
     }
 
     #[test]

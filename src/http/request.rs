@@ -187,10 +187,6 @@ pub(super) async fn document<T: DeserializeOwned>(
 /// # Errors
 /// 400 for what is not JSON, 422 for a field that cannot be.
 pub(super) fn parsed<T: DeserializeOwned>(body: &[u8]) -> Result<T, Problem> {
-    // The parser would take an array's elements for the fields in their order.
-    if body.iter().find(|byte| !byte.is_ascii_whitespace()) == Some(&b'[') {
-        return Err(Problem::field("document", "is an array, expected an object"));
-    }
     Ok(from_json(body)?)
 }
 
