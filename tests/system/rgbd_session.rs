@@ -79,6 +79,7 @@ fn is_of_use(served: &Served, id: &str) {
     }
     for query in [
         "sensor=depth",
+        "sensor=depth&undistorted=true",
         registered,
         "sensor=depth&registered=color",
         "sensor=color&registered=depth",

@@ -88,8 +88,15 @@ pub(super) fn encoded(
         return Ok(decode::encode_jpeg_rgb(&image, JPEG_QUALITY).into());
     }
     let map = image_map(drawing, scene, maps)?;
+    let mapped = |image: RgbImage| match &map {
+        Some(map) => {
+            map.rgb(&image, Interpolation::Bilinear).ok_or(PreviewError::OtherSize { sensor })
+        }
+        None => Ok(image),
+    };
     if sensor == SensorKind::Depth {
-        return Ok(decode::encode_jpeg_rgb(&shaded_depth(&live.frame_set)?, JPEG_QUALITY).into());
+        let image = mapped(shaded_depth(&live.frame_set)?)?;
+        return Ok(decode::encode_jpeg_rgb(&image, JPEG_QUALITY).into());
     }
     let detection = live.detection.as_ref().filter(|_| overlay && sensor == SensorKind::Color);
     let seen = detection.and_then(FrameDetection::board);
@@ -109,11 +116,7 @@ pub(super) fn encoded(
     if let Some(features) = features {
         draw_scene(&mut image, features, scene.key_frame);
     }
-    if let Some(map) = map {
-        let mapped = map.rgb(&image, Interpolation::Bilinear);
-        image = mapped.ok_or(PreviewError::OtherSize { sensor })?;
-    }
-    Ok(decode::encode_jpeg_rgb(&image, JPEG_QUALITY).into())
+    Ok(decode::encode_jpeg_rgb(&mapped(image)?, JPEG_QUALITY).into())
 }
 
 /// Draws what an image shares with the last key frame: a line from where it was there to where it

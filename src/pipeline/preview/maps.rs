@@ -2,8 +2,11 @@
 
 use std::sync::Arc;
 
+use crate::calibration::result::Calibration;
 use crate::calibration::sensor::SensorId;
 use crate::calibration::stereo_pair::StereoPair;
+use crate::geometry::lens::Lens;
+use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::SensorKind;
 use crate::imaging::rectify::rectifying_maps;
 use crate::imaging::registration::DepthRegistration;
@@ -54,8 +57,7 @@ impl CalibrationMaps {
         let key = (id.ok_or_else(none)?.to_owned(), (sensor, alpha));
         self.undistortions.get_or_make(&key, || {
             let calibration = self.store.calibration(&key.0)?.ok_or_else(none)?;
-            let calibrated = calibration.image(sensor).ok_or_else(none)?;
-            let (lens, size) = (&calibrated.lens, calibrated.image_size);
+            let (lens, size) = lens_of(&calibration, sensor).ok_or_else(none)?;
             let options = UndistortOptions { balance: alpha, size: None };
             let undistortion = Undistortion::new(lens, size, &options);
             Ok((key.clone(), undistortion.map))
@@ -133,4 +135,13 @@ impl CalibrationMaps {
             Ok((id.clone(), registration))
         })
     }
+}
+
+/// The lens of a camera's sensor, and the size of the images it is of.
+fn lens_of(calibration: &Calibration, sensor: SensorKind) -> Option<(&Lens, ImageSize)> {
+    if sensor == SensorKind::Depth {
+        let depth = &calibration.depth()?.camera;
+        return Some((&depth.lens, depth.image_size));
+    }
+    calibration.image(sensor).map(|image| (&image.lens, image.image_size))
 }

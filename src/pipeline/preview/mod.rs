@@ -190,6 +190,10 @@ fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::calibration::depth_calibration::{DepthCalibration, DepthNoise};
+    use crate::calibration::result::CalibratedSensor;
+    use crate::geometry::depth_camera::{DepthCamera, DepthReading};
+    use crate::geometry::lens::{Lens, LensModel};
     use crate::geometry::pixel::ImageSize;
     use crate::imaging::frame::{Frame, FrameSet, PixelFormat, SensorKind};
     use crate::imaging::timestamp::HostTime;
@@ -277,6 +281,53 @@ mod tests {
         assert!(preview.offer(&second), "the one before was not drawn yet");
         drop((early, late));
         assert_eq!(preview.show(&second, &state()), 0);
+    }
+
+    #[test]
+    fn depth_is_undistorted_through_its_own_lens() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Arc::new(Store::open(folder.path()).unwrap());
+        let preview = Preview::new(Arc::new(CalibrationMaps::new(Arc::clone(&store))));
+        let size = ImageSize::new(64, 48);
+        let lens = [40.0, 40.0, 31.5, 23.5, 0.0, -0.2];
+        let depth = DepthCalibration {
+            camera: DepthCamera {
+                image_size: size,
+                lens: Lens::from_parameters(LensModel::Radial, &lens).unwrap(),
+                reading: DepthReading::Metric { unit_m: 1e-3 },
+                correction: None,
+            },
+            invalid: None,
+            lens_std: vec![0.0; lens.len()],
+            bias: Vec::new(),
+            noise: DepthNoise { constant_m: 0.0, quadratic_per_m: 0.0 },
+            time_offset: None,
+        };
+        let mut calibration = crate::document::calibration::tests::example();
+        calibration.add_sensor(CalibratedSensor::depth(None, depth));
+        store.append_calibration(&calibration).unwrap();
+
+        let readings = (0..64 * 48).flat_map(|k| (500 + 80 * (k % 64) as u16).to_le_bytes());
+        let frame = Frame {
+            sensor: SensorKind::Depth,
+            size,
+            format: PixelFormat::Depth16,
+            stride: 128,
+            bytes: readings.collect::<Vec<u8>>().into(),
+        };
+        let host_time = HostTime { utc_ns: 0 };
+        let frame_set =
+            FrameSet { sequence: 0, host_time, device_time: None, name: None, frames: vec![frame] };
+        let live = Arc::new(LiveFrame { frame_set: Arc::new(frame_set), detection: None });
+        let state = PreviewState { calibration: Some(calibration.id), ..state() };
+        let plain = Drawing { sensor: SensorKind::Depth, ..DRAWING };
+        let drawn = |drawing: Drawing| {
+            let (jpeg, _) = preview.encoded(&live, drawing, &state).unwrap();
+            let image = image::load_from_memory(&jpeg).unwrap().into_rgb8();
+            assert_eq!(image.dimensions(), (64, 48));
+            image
+        };
+        assert_ne!(drawn(plain), drawn(Drawing { undistorted: true, alpha: 1.0, ..plain }));
     }
 
     #[test]
