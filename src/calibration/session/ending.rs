@@ -141,14 +141,22 @@ impl SessionRecord {
         }
         self.state = SessionState::Solving;
         self.reason = None;
-        self.guidance = Guidance::default();
+        self.ask_for_nothing();
         vec![Action::Announce, Action::Solve]
+    }
+
+    /// No view is of use any more, of any camera.
+    pub(super) fn ask_for_nothing(&mut self) {
+        self.guidance = Guidance::default();
+        for member in &mut self.members {
+            member.guidance = Guidance::default();
+        }
     }
 
     fn close(&mut self, state: SessionState, reason: Option<String>, now_ns: i64) -> Vec<Action> {
         self.state = state;
         self.reason = reason;
-        self.guidance = Guidance::default();
+        self.ask_for_nothing();
         self.finished_at_ns = Some(now_ns.max(self.started_at_ns));
         vec![Action::Close]
     }

@@ -197,6 +197,9 @@ impl Session {
             let outdated = self.cameras.get(camera).is_some_and(CameraPart::is_estimate_outdated);
             actions.extend(self.request_estimates(|other| other == camera && outdated));
             actions.extend(self.end_if_reached());
+        } else {
+            // The estimate came with its advice.
+            self.record.ask_for_nothing();
         }
         actions
     }

@@ -107,13 +107,35 @@ fn a_board_that_moved_between_the_images_is_not_shared() {
 fn too_little_fails_and_says_what_there_is() {
     let mut session = session(&["left", "right"], None);
     session.observe(&[sees(0, board(0.0, 0.5, 0.0)), sees(0, board(-0.1, 0.5, 0.0))]).unwrap();
+    let asks = |member: &SessionMember| !member.guidance.message.is_empty();
+    assert!(session.record().members.iter().all(asks));
     let actions = session.stop(NOW_NS).unwrap();
     assert_eq!(actions, [Action::Close]);
     let record = session.record();
     assert_eq!(record.state, SessionState::Failed);
+    assert!(!record.members.iter().any(asks), "{:?}", record.members);
     assert!(record.reason.as_ref().unwrap().contains("left 1, right 1"), "{:?}", record.reason);
     assert!(session.observe(&[None, None]).is_none());
     assert!(session.stop(NOW_NS).is_err() && session.abort(NOW_NS).is_err());
+}
+
+#[test]
+fn nothing_is_asked_for_while_it_solves() {
+    let mut session = pair_session(None);
+    for k in 0..4 {
+        let [left, right] = [placement(k), right_from_left() * placement(k)];
+        let mut seed = k as u64;
+        let frames = [left, right].map(|pose| sees(1000 * k as i64, seen_at(&pose, &mut seed)));
+        session.observe(&frames).unwrap();
+    }
+    session.stop(NOW_NS).unwrap();
+    assert_eq!(session.record().state, SessionState::Solving);
+    // One that was being made when it was stopped.
+    perform(&mut session, &[Action::Estimate(0)]);
+    let record = session.record();
+    let mut guidances = record.members.iter().map(|it| &it.guidance).chain([&record.guidance]);
+    assert!(guidances.all(|guidance| *guidance == Guidance::default()), "{record:?}");
+    assert!(record.members[0].estimate.is_some());
 }
 
 #[test]
