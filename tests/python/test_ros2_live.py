@@ -119,7 +119,7 @@ WRONG = {
     "another size": (
         ros.Image,
         lambda walk: [ros.image(walk[0], START_NS), ros.image(walk[0][:240], START_NS + 10**9)],
-        "its images were 640x480 and are 640x240 now",
+        "its color images were 640x480 and are 640x240 now",
     ),
 }
 

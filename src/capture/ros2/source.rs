@@ -1,5 +1,6 @@
 //! The images of a ROS 2 driver as frames.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::task::{Wake, Waker};
@@ -12,7 +13,7 @@ use crate::capture::{CaptureError, FrameSource, Losses, SourceDescription};
 use crate::dds::{PublishedTopic, ReaderChange, Received, TopicReader};
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::factory::FactoryCalibration;
-use crate::imaging::frame::FrameSet;
+use crate::imaging::frame::{Frame, FrameSet, SensorKind};
 use crate::recording::CameraMessages;
 
 /// How long opening waits for the driver's camera_info, which comes with each image.
@@ -46,12 +47,16 @@ pub(super) struct Ros2Source {
     read: Subscriptions,
     messages: CameraMessages,
     senders: Vec<Sender>,
-    size: Option<ImageSize>,
+    sizes: SensorSizes,
     has_given: bool,
     factory: FactoryCalibration,
     losses: Losses,
     next_sequence: Arc<AtomicU64>,
 }
+
+/// The size of each sensor's images, as they came last.
+#[derive(Debug, Default)]
+struct SensorSizes(BTreeMap<SensorKind, ImageSize>);
 
 /// Wakes a thread that is parked.
 struct Unpark(Thread);
@@ -77,7 +82,7 @@ impl Ros2Source {
             read,
             messages,
             senders,
-            size: None,
+            sizes: SensorSizes::default(),
             has_given: false,
             factory: FactoryCalibration::default(),
             losses: Losses::default(),
@@ -169,19 +174,26 @@ impl Ros2Source {
         Ok(())
     }
 
-    /// A driver that was set to another size is another camera to who calibrates it.
-    fn check_size(&mut self, set: &FrameSet) -> Result<(), CaptureError> {
-        let Some(size) = set.frames.first().map(|frame| frame.size) else { return Ok(()) };
-        match self.size.replace(size) {
-            Some(before) if before != size => {
-                Err(self.lost(format!("its images were {before} and are {size} now")))
-            }
-            _ => Ok(()),
-        }
-    }
-
     fn lost(&self, reason: String) -> CaptureError {
         CaptureError::Lost { device: self.options.topic.clone(), reason }
+    }
+}
+
+impl SensorSizes {
+    /// A driver that was set to another size is another camera to who calibrates it. A sensor may
+    /// be missing from a frame set; a frame that could not be read has no size.
+    fn check(&mut self, frames: &[Frame]) -> Result<(), String> {
+        let readable = |frame: &&Frame| frame.size.width > 0 && frame.size.height > 0;
+        for Frame { sensor, size, .. } in frames.iter().filter(readable) {
+            match self.0.insert(*sensor, *size) {
+                Some(before) if before != *size => {
+                    let sensor = sensor.name();
+                    return Err(format!("its {sensor} images were {before} and are {size} now"));
+                }
+                _ => {}
+            }
+        }
+        Ok(())
     }
 }
 
@@ -208,7 +220,7 @@ impl FrameSource for Ros2Source {
         let deadline = Instant::now() + timeout;
         loop {
             if let Some(mut set) = self.messages.next_frame_set() {
-                self.check_size(&set)?;
+                self.sizes.check(&set.frames).map_err(|reason| self.lost(reason))?;
                 self.has_given = true;
                 set.sequence = self.next_sequence.fetch_add(1, Ordering::Relaxed);
                 return Ok(set);
@@ -246,6 +258,26 @@ impl FrameSource for Ros2Source {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::imaging::frame::PixelFormat;
+
+    fn frame(sensor: SensorKind, width: u32, height: u32) -> Frame {
+        let format = PixelFormat::Mono8;
+        let bytes = vec![0; (width * height) as usize].into();
+        Frame { sensor, size: ImageSize::new(width, height), format, stride: width as usize, bytes }
+    }
+
+    #[test]
+    fn a_size_is_compared_with_that_of_the_same_sensor() {
+        let mut sizes = SensorSizes::default();
+        let color = || frame(SensorKind::Color, 8, 6);
+        let depth = || frame(SensorKind::Depth, 4, 3);
+        assert_eq!(sizes.check(&[color(), depth()]), Ok(()));
+        assert_eq!(sizes.check(&[depth()]), Ok(()), "without a color image");
+        assert_eq!(sizes.check(&[color(), frame(SensorKind::Depth, 0, 0)]), Ok(()), "unreadable");
+        assert_eq!(sizes.check(&[color(), depth()]), Ok(()));
+        let changed = sizes.check(&[color(), frame(SensorKind::Depth, 8, 6)]);
+        assert_eq!(changed, Err("its depth images were 4x3 and are 8x6 now".to_owned()));
+    }
 
     #[test]
     fn a_gap_is_counted_and_two_that_alternate_are_refused() {
