@@ -177,6 +177,26 @@ mod tests {
         );
     }
 
+    #[cfg(feature = "ros2")]
+    #[test]
+    fn names_that_are_one_in_ros_are_refused_where_results_are_published() {
+        let table =
+            |kind: &str, name: &str, rest: &str| format!("[[{kind}]]\nname = \"{name}\"\n{rest}\n");
+        let camera = |name: &str| table("camera", name, "source = { kind = \"simulator\" }");
+        let cameras = camera("a-b") + &camera("a_b");
+        let check = |text: &str| {
+            Written::parse(text, Path::new("plumb.toml")).unwrap().check(&Overrides::default())
+        };
+        assert_eq!(check(&cameras).unwrap().cameras.len(), 2);
+        let same = "are both `a_b` in ROS 2, whose names have no `-`; rename one";
+        let publish = "[ros2]\npublish = true\n";
+        let message = refusal(&(cameras + publish));
+        assert_eq!(message, format!("plumb.toml:5: camera.name: `a_b` and `a-b` {same}"));
+        let rig = table("rig", "a_b", "cameras = [\"a-b\", \"c\"]");
+        let message = refusal(&(camera("a-b") + &camera("c") + &rig + publish));
+        assert_eq!(message, format!("plumb.toml:8: rig.name: `a_b` and `a-b` {same}"));
+    }
+
     #[test]
     fn the_command_line_is_louder_than_the_file_and_held_to_the_same_rule() {
         let listen = |address: &str| {

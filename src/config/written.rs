@@ -1,5 +1,6 @@
 //! The file as written: its tables, and what they mean once they are checked.
 
+use std::collections::BTreeMap;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, ToSocketAddrs};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -18,6 +19,7 @@ use crate::document::session::StartDocument;
 use crate::http::tls::{Certificate, TlsError};
 use crate::http::tokens::AccessTokens;
 use crate::pipeline::recording_retention::RecordingRetention;
+use crate::recording::ros2_results::ros_name;
 use crate::store::Retention;
 
 /// Where the daemon listens by default.
@@ -144,6 +146,9 @@ impl Written {
             1_000_000 * u64::from(tables.store.min_free_mb.unwrap_or(DEFAULT_MIN_FREE_MB));
         let auto_approve = tables.calibration.auto_approve.unwrap_or(true);
         let ros2 = check_ros2(&tables.ros2, &place)?;
+        if ros2.publish {
+            check_ros_names(&tables.camera, &tables.rig, &place)?;
+        }
         let retention = Retention {
             days: tables.store.keep_days,
             sessions: tables.store.keep_sessions,
@@ -250,6 +255,27 @@ fn check_ros2(table: &Ros2Table, place: &Place) -> Result<Ros2Config, ConfigErro
         camera_info_with_images: table.camera_info_with_images.unwrap_or(false),
         alpha: check_alpha(table.alpha.as_ref(), place)?,
     })
+}
+
+/// Names that differ must do so on the graph too: two cameras would offer the same services.
+fn check_ros_names(
+    cameras: &[CameraTable],
+    rigs: &[RigTable],
+    place: &Place,
+) -> Result<(), ConfigError> {
+    let mut taken: BTreeMap<String, &str> = BTreeMap::new();
+    let cameras = cameras.iter().map(|table| ("camera.name", &table.name));
+    for (key, name) in cameras.chain(rigs.iter().map(|table| ("rig.name", &table.name))) {
+        let (text, on_graph) = (name.get_ref(), ros_name(name.get_ref()));
+        if let Some(other) = taken.get(&on_graph) {
+            let problem = format!(
+                "`{text}` and `{other}` are both `{on_graph}` in ROS 2, whose names have no `-`; rename one"
+            );
+            return Err(place.refuse(&name.span(), key, problem));
+        }
+        taken.insert(on_graph, text);
+    }
+    Ok(())
 }
 
 fn check_alpha(alpha: Option<&Spanned<f64>>, place: &Place) -> Result<f64, ConfigError> {

@@ -32,11 +32,7 @@ pub(super) fn begin(
     };
     let (fleet, store) = (Arc::clone(fleet), Arc::clone(store));
     runtime.spawn(forward(running, changed));
-    runtime.spawn(async move {
-        if let Err(error) = publish(fleet, store, plan).await {
-            tracing::error!("nothing is published on the graph: {error}");
-        }
-    });
+    runtime.spawn(publish(fleet, store, plan));
 }
 
 /// Has the graph know what is running after each change.

@@ -26,6 +26,8 @@ const CYCLONE_HEADER: usize = 16;
 /// topics one after the other, and a reply that is sent before is lost: ROS 2's own middlewares
 /// wait too.
 const DISCOVERY: Duration = Duration::from_secs(1);
+/// How many requests may wait so; later ones stay in the reader, which keeps the newest.
+const MOST_HELD: usize = 64;
 
 /// A request that came in.
 #[derive(Debug, Clone, PartialEq)]
@@ -83,7 +85,9 @@ impl ServiceServer {
     /// client cannot. `now` is the time of the call.
     pub fn take(&self, now: Instant) -> Option<Request> {
         let mut held = self.held.lock().unwrap_or_else(PoisonError::into_inner);
-        while let Some(sample) = self.requests.take() {
+        while held.len() < MOST_HELD
+            && let Some(sample) = self.requests.take()
+        {
             let Some(client) = sample.writer.first_chunk().copied() else { continue };
             held.extend(request_of(sample).map(|request| HeldRequest {
                 request,

@@ -7,7 +7,7 @@ use std::task::Waker;
 use crate::dds::{DdsError, Durability, Participant, ServiceServer, TopicWriter};
 use crate::graph::driver::Driver;
 use crate::graph::results::{Results, SensorInfo};
-use crate::recording::ros2_results::{restamped, text};
+use crate::recording::ros2_results::{restamped, ros_name, text};
 
 const INFO: &str = "sensor_msgs/msg/CameraInfo";
 const TRIGGER: &str = "std_srvs/srv/Trigger";
@@ -34,8 +34,7 @@ impl GraphTopics {
         name: &str,
         set_camera_info: Option<&str>,
     ) -> Result<Self, DdsError> {
-        // Names of cameras may have a `-`, names of ROS not.
-        let base = format!("/plumb/{}", name.replace('-', "_"));
+        let base = format!("/plumb/{}", ros_name(name));
         let service =
             |kind: &str| ServiceServer::offer(participant, &format!("{base}/{kind}"), TRIGGER);
         let state = participant.advertise(
@@ -102,5 +101,5 @@ impl GraphTopics {
 }
 
 fn info_topic(namespace: &str) -> String {
-    format!("/plumb{}/camera_info", namespace.replace('-', "_"))
+    format!("/plumb{}/camera_info", ros_name(namespace))
 }

@@ -19,8 +19,11 @@ use crate::store::Store;
 
 /// As often as ROS's own nodes say how they do.
 const DIAGNOSTICS: Duration = Duration::from_secs(1);
-/// Sessions that are being ended at once.
+/// How soon the graph, or a camera on it, is tried again.
+const RETRY: Duration = Duration::from_secs(10);
+/// Requests to end a session that wait for their answer at once.
 const ENDING: usize = 64;
+const TOO_MANY: &str = "64 requests to stop wait for their session; ask again later";
 const NO_BOARD: &str = "no board is configured: write [ros2] session = { target = { kind = \"chessboard\", cols = …, rows = …, square_m = … } }";
 
 /// What is published, and where.
@@ -75,24 +78,19 @@ struct Ended {
     reply: Vec<u8>,
 }
 
-/// Publishes what the cameras of `fleet` do until the daemon ends.
-///
-/// # Errors
-/// [`DdsError`] when the graph cannot be joined.
-pub async fn publish(
-    fleet: Arc<Fleet>,
-    store: Arc<Store>,
-    plan: GraphPlan,
-) -> Result<(), DdsError> {
-    let mut events = fleet.events(None);
+/// Publishes what the cameras of `fleet` do until the daemon ends. A graph that cannot be joined,
+/// as before there is a network, is tried again.
+pub async fn publish(fleet: Arc<Fleet>, store: Arc<Store>, plan: GraphPlan) {
     let mut instruments = plan.instruments.clone();
-    let mut graph = GraphTask::join(fleet, store, plan)?;
+    let mut graph = joined(RETRY, || GraphTask::join(&fleet, &store, &plan)).await;
+    let mut events = fleet.events(None);
     let known = instruments.borrow_and_update().clone();
-    graph.take_instruments(known).await?;
+    graph.take_instruments(known).await;
     let woken = Arc::new(Woken::default());
     let waker = Waker::from(Arc::clone(&woken));
     let (ended, mut endings) = mpsc::channel(ENDING);
     let mut seconds = tokio::time::interval(DIAGNOSTICS);
+    let mut retries = tokio::time::interval(RETRY);
     loop {
         graph.topics.values().for_each(|topics| topics.wake(&waker));
         graph.serve(&ended).await;
@@ -102,13 +100,32 @@ pub async fn publish(
             Some(ended) = endings.recv() => graph.answer(&ended),
             Ok(()) = instruments.changed() => {
                 let known = instruments.borrow_and_update().clone();
-                graph.take_instruments(known).await?;
+                graph.take_instruments(known).await;
             }
             _ = seconds.tick() => {
                 graph.drivers(1);
                 graph.diagnose();
             }
+            _ = retries.tick() => graph.advertise().await,
         }
+    }
+}
+
+/// The graph, as soon as `join` gives it; tried again after `wait` each. A reason is said once.
+async fn joined<T>(wait: Duration, mut join: impl FnMut() -> Result<T, DdsError>) -> T {
+    let mut said = String::new();
+    loop {
+        match join() {
+            Ok(graph) => return graph,
+            Err(error) => {
+                let reason = error.to_string();
+                if reason != said {
+                    tracing::error!("nothing is published on the graph, tried again: {reason}");
+                    said = reason;
+                }
+            }
+        }
+        tokio::time::sleep(wait).await;
     }
 }
 
@@ -122,12 +139,14 @@ struct GraphTask {
     instruments: InstrumentsOnGraph,
     /// By the name of the camera or rig.
     topics: BTreeMap<String, GraphTopics>,
+    /// Why those that have none have none.
+    refused: BTreeMap<String, String>,
     transforms: TopicWriter,
     diagnostics: TopicWriter,
 }
 
 impl GraphTask {
-    fn join(fleet: Arc<Fleet>, store: Arc<Store>, plan: GraphPlan) -> Result<Self, DdsError> {
+    fn join(fleet: &Arc<Fleet>, store: &Arc<Store>, plan: &GraphPlan) -> Result<Self, DdsError> {
         let participant = Participant::join(plan.domain)?;
         let transforms =
             participant.advertise("/tf_static", "tf2_msgs/msg/TFMessage", Durability::Latched)?;
@@ -136,24 +155,23 @@ impl GraphTask {
             "diagnostic_msgs/msg/DiagnosticArray",
             Durability::Volatile,
         )?;
-        let GraphPlan { session, info_with_images, alpha, .. } = plan;
-        let (instruments, topics) = (InstrumentsOnGraph::default(), BTreeMap::new());
         Ok(Self {
-            fleet,
-            store,
-            session,
-            info_with_images,
-            alpha,
+            fleet: Arc::clone(fleet),
+            store: Arc::clone(store),
+            session: plan.session.clone(),
+            info_with_images: plan.info_with_images,
+            alpha: plan.alpha,
             participant,
-            instruments,
-            topics,
+            instruments: InstrumentsOnGraph::default(),
+            topics: BTreeMap::new(),
+            refused: BTreeMap::new(),
             transforms,
             diagnostics,
         })
     }
 
     /// Has the graph show these cameras and rigs; those that are as they were do not notice.
-    async fn take_instruments(&mut self, known: InstrumentsOnGraph) -> Result<(), DdsError> {
+    async fn take_instruments(&mut self, known: InstrumentsOnGraph) {
         let before = std::mem::replace(&mut self.instruments, known.clone());
         let stays = |name: &str| {
             let of = |all: &InstrumentsOnGraph| all.camera(name).cloned();
@@ -161,20 +179,35 @@ impl GraphTask {
             of(&before) == of(&known) && is_rig(&before) == is_rig(&known)
         };
         self.topics.retain(|name, _| known.names().any(|other| other == name) && stays(name));
-        let new: Vec<String> = known
-            .names()
-            .filter(|name| !self.topics.contains_key(*name))
-            .map(str::to_owned)
-            .collect();
-        for name in &new {
-            let service = known.camera(name).and_then(|camera| camera.set_camera_info.as_deref());
-            let topics = GraphTopics::new(&self.participant, name, service)?;
-            self.topics.insert(name.clone(), topics);
-            self.publish_current(name).await;
-        }
+        self.advertise().await;
         // Who is gone is in no frame any more.
         self.publish_transforms();
-        Ok(())
+    }
+
+    /// Offers the topics of the cameras and rigs that have none yet; what is refused is tried
+    /// again later, and said once.
+    async fn advertise(&mut self) {
+        let known = &self.instruments;
+        let names = known.names().filter(|name| !self.topics.contains_key(*name));
+        let new: Vec<String> = names.map(str::to_owned).collect();
+        self.refused.retain(|name, _| new.contains(name));
+        for name in new {
+            let camera = self.instruments.camera(&name);
+            let service = camera.and_then(|camera| camera.set_camera_info.as_deref());
+            match GraphTopics::new(&self.participant, &name, service) {
+                Ok(topics) => {
+                    self.topics.insert(name.clone(), topics);
+                    self.publish_current(&name).await;
+                }
+                Err(error) => {
+                    let reason = error.to_string();
+                    if self.refused.get(&name) != Some(&reason) {
+                        tracing::error!("{name} is not on the graph, tried again: {reason}");
+                        self.refused.insert(name, reason);
+                    }
+                }
+            }
+        }
     }
 
     /// What is current already of a camera or rig that comes.
@@ -316,18 +349,18 @@ impl GraphTask {
         let Some(session) = sessions.iter().find(runs) else {
             return refuse("no session runs; start one first");
         };
+        let Ok(place) = ended.clone().try_reserve_owned() else { return refuse(TOO_MANY) };
         if let Err(error) = self.fleet.stop_session(&session.id).await {
             return refuse(&error.to_string());
         }
         let (fleet, id) = (Arc::clone(&self.fleet), session.id.clone());
-        let (name, ended) = (name.to_owned(), ended.clone());
+        let name = name.to_owned();
         tokio::spawn(async move {
             let reply = match fleet.session_over(&id).await {
                 Ok(record) => outcome(&record),
                 Err(error) => reply(false, &error.to_string()),
             };
-            // Nobody takes it when the daemon goes down.
-            let _ = ended.send(Ended { name, request, reply }).await;
+            place.send(Ended { name, request, reply });
         });
     }
 
@@ -365,4 +398,21 @@ fn warn(outcome: Result<(), DdsError>) {
 fn utc_now_ns() -> i64 {
     let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
     since.map_or(0, |since| i64::try_from(since.as_nanos()).unwrap_or(i64::MAX))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn a_graph_that_cannot_be_joined_is_tried_again() {
+        let mut left = 3;
+        let join = || {
+            left -= 1;
+            let detail = "no network".to_owned();
+            if left > 0 { Err(DdsError::Join { domain_id: 0, detail }) } else { Ok("joined") }
+        };
+        assert_eq!(joined(Duration::ZERO, join).await, "joined");
+        assert_eq!(left, 0);
+    }
 }

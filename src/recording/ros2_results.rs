@@ -54,6 +54,11 @@ pub fn optical_frame(camera: &str, sensor: SensorKind) -> String {
     ros2_messages::frame_id(camera, sensor)
 }
 
+/// A camera's or rig's name as part of names of ROS, which have no `-`.
+pub fn ros_name(name: &str) -> String {
+    name.replace('-', "_")
+}
+
 /// The name under which a sensor's topics are, as in `/front/depth`.
 pub fn sensor_namespace(camera: &str, sensor: SensorKind) -> String {
     ros2_messages::namespace(camera, sensor)
