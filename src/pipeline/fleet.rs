@@ -12,7 +12,7 @@ use crate::imaging::frame::SensorKind;
 use crate::imaging::gray::GrayImage;
 use crate::pipeline::camera_status::{CameraState, CameraStatus};
 use crate::pipeline::clock::utc_now_ns;
-use crate::pipeline::event::{CalibrationEvent, EventKind, EventLog, EventStream};
+use crate::pipeline::event::{EventLog, EventStream};
 use crate::pipeline::fleet_error::{ApproveError, FleetError};
 use crate::pipeline::instrument::{Instrument, RigStatus};
 use crate::pipeline::live_camera::LiveCamera;
@@ -123,12 +123,8 @@ impl Fleet {
         let known = self.instruments().into_iter().find(|known| known.name == *name);
         let missing = || ApproveError::NotConfigured { id: id.to_owned(), name: name.clone() };
         let instrument = known.ok_or_else(missing)?;
-        self.shared.store.set_current(name, id)?;
-        instrument.set_calibration(id, &self.shared.store);
-        if let Some(event) = CalibrationEvent::of(&calibration, true) {
-            self.shared.events.publish(name, EventKind::Calibration(event));
-        }
-        Ok(())
+        let store = self.store();
+        Ok(instrument.make_current(&calibration, store, || store.set_current(name, id))?)
     }
 
     /// Records the camera `name` into the store's folder until stopped or a limit is reached.

@@ -1,18 +1,19 @@
 //! Cameras that are calibrated together, one or more, as seen from outside, and the link to the
 //! threads that work for them. Each camera is an instrument; a rig is one more.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use tokio::sync::{mpsc, watch};
 
+use crate::calibration::result::Calibration;
 use crate::calibration::session_record::SessionRecord;
-use crate::pipeline::event::{EventKind, EventLog};
+use crate::pipeline::event::{CalibrationEvent, EventKind, EventLog};
 use crate::pipeline::jobs::Jobs;
 use crate::pipeline::live_camera::LiveCamera;
 use crate::pipeline::message::Message;
 use crate::pipeline::metrics::Metrics;
 use crate::pipeline::stop_signal::StopSignal;
-use crate::store::Store;
+use crate::store::{Store, StoreError};
 
 /// A rig to set going: cameras that are fixed to each other.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -45,6 +46,8 @@ pub(super) struct Instrument {
     pub(super) is_rig: bool,
     pub(super) session: watch::Sender<Option<Arc<SessionRecord>>>,
     pub(super) calibration: watch::Sender<Option<String>>,
+    /// Held while another calibration becomes the current one.
+    pub(super) approving: Mutex<()>,
     pub(super) messages: mpsc::Sender<Message>,
     pub(super) jobs: Jobs,
     pub(super) events: Arc<EventLog>,
@@ -60,8 +63,29 @@ impl Instrument {
         cameras.iter().map(|camera| camera.name.clone()).collect()
     }
 
-    /// Shows the calibration that holds from now on.
-    pub(super) fn set_calibration(&self, id: &str, store: &Store) {
+    /// Has `write` store that `calibration` holds from now on, then shows and announces it; one at
+    /// a time, so that what is shown is what is stored.
+    pub(super) fn make_current(
+        &self,
+        calibration: &Calibration,
+        store: &Store,
+        write: impl FnOnce() -> Result<(), StoreError>,
+    ) -> Result<(), StoreError> {
+        let _one_at_a_time = self.approving.lock().unwrap_or_else(PoisonError::into_inner);
+        write()?;
+        self.set_calibration(&calibration.id, store);
+        self.announce_calibration(calibration, true);
+        Ok(())
+    }
+
+    /// Says that there is a calibration, and whether it is the current one.
+    pub(super) fn announce_calibration(&self, calibration: &Calibration, current: bool) {
+        if let Some(event) = CalibrationEvent::of(calibration, current) {
+            self.publish(EventKind::Calibration(event));
+        }
+    }
+
+    fn set_calibration(&self, id: &str, store: &Store) {
         self.calibration.send_replace(Some(id.to_owned()));
         match (self.cameras.as_slice(), self.is_rig) {
             ([camera], false) => camera.set_calibration(id, store),

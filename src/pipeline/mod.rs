@@ -25,6 +25,8 @@ mod clock;
 mod closing;
 mod collecting;
 mod current_calibration;
+#[cfg(test)]
+mod current_calibration_tests;
 mod detect_thread;
 mod drift;
 pub mod event;

@@ -15,7 +15,7 @@ use crate::calibration::view::FrameFacts;
 use crate::imaging::depth_encoding::DepthEncoding;
 use crate::imaging::frame::SensorKind;
 use crate::pipeline::clock::utc_now_ns;
-use crate::pipeline::event::{CalibrationEvent, EventKind};
+use crate::pipeline::event::EventKind;
 use crate::pipeline::message::{Message, SeenFrameSet};
 use crate::pipeline::scene_search::key_frame_image;
 use crate::pipeline::seen::{SensorObservation, searched_frame};
@@ -186,7 +186,13 @@ impl SessionThread {
             UnstoredWork::Calibration(calibration) => {
                 let mut finished = session.clone();
                 finished.calibrated(calibration);
-                self.store.finish_session(finished.record(), calibration)
+                let record = finished.record();
+                if !self.is_approved(calibration) {
+                    return self.store.finish_session(record, calibration, false);
+                }
+                self.instrument.make_current(calibration, &self.store, || {
+                    self.store.finish_session(record, calibration, true)
+                })
             }
         }
     }
@@ -200,7 +206,9 @@ impl SessionThread {
                 self.show();
             }
             UnstoredWork::Calibration(calibration) => {
-                self.announce_calibration(&calibration);
+                if !self.is_approved(&calibration) {
+                    self.instrument.announce_calibration(&calibration, false);
+                }
                 let session = self.session.as_mut();
                 let actions =
                     session.map_or_else(Vec::new, |session| session.calibrated(&calibration));
@@ -210,23 +218,9 @@ impl SessionThread {
         }
     }
 
-    /// Makes the calibration current if it may be, and announces it.
-    fn announce_calibration(&self, calibration: &Calibration) {
-        let name = &self.instrument.name;
-        let mut current = self.auto_approve && calibration.verdict.grade == Grade::Good;
-        if current && let Err(error) = self.store.set_current(name, &calibration.id) {
-            tracing::error!(
-                instrument = name,
-                "the calibration is stored but not approved: {error}"
-            );
-            current = false;
-        }
-        if current {
-            self.instrument.set_calibration(&calibration.id, &self.store);
-        }
-        if let Some(event) = CalibrationEvent::of(calibration, current) {
-            self.instrument.publish(EventKind::Calibration(event));
-        }
+    /// Whether it becomes current by itself.
+    fn is_approved(&self, calibration: &Calibration) -> bool {
+        self.auto_approve && calibration.verdict.grade == Grade::Good
     }
 
     /// Takes no frames any more, and says why.

@@ -157,6 +157,7 @@ pub(super) fn start_camera(
     });
     let instrument = Instrument {
         calibration: watch::Sender::new(camera.status.borrow().calibration.clone()),
+        approving: Mutex::default(),
         cameras: vec![Arc::clone(&camera)],
         is_rig: false,
         session: watch::Sender::new(None),
@@ -199,6 +200,7 @@ pub(super) fn start_rig(
     let (messages, received) = mpsc::channel(QUEUE);
     let instrument = Instrument {
         calibration: watch::Sender::new(shared.store.current_calibration_id(&name)?),
+        approving: Mutex::default(),
         cameras,
         is_rig: true,
         session: watch::Sender::new(None),

@@ -23,7 +23,8 @@ impl Store {
         insert(&self.connection(), calibration, &document).map_err(|e| self.failed(&e))
     }
 
-    /// Writes down how a session ended, and the calibration that it led to, both or none.
+    /// Writes down how a session ended, the calibration that it led to, and, with `make_current`,
+    /// that this one holds for its camera now: all or nothing.
     ///
     /// # Errors
     /// As [`Store::append_calibration`] and [`Store::save_session`].
@@ -31,12 +32,16 @@ impl Store {
         &self,
         record: &SessionRecord,
         calibration: &Calibration,
+        make_current: bool,
     ) -> Result<(), StoreError> {
         let (document, session) = (column(calibration)?, sessions::document(record)?);
         let mut connection = self.connection();
         let mut write = || {
             let transaction = connection.transaction()?;
             insert(&transaction, calibration, &document)?;
+            if make_current {
+                approve(&transaction, &record.camera, &calibration.id)?;
+            }
             let updated = sessions::update_session(&transaction, record, &session)?;
             if updated > 0 {
                 transaction.commit()?;
@@ -121,14 +126,10 @@ impl Store {
         if self.calibration(calibration_id)?.is_none() {
             return Err(StoreError::Missing { row: row_name(calibration_id) });
         }
-        let sql = "INSERT INTO current_calibrations (camera, calibration) VALUES (?1, ?2)
-            ON CONFLICT (camera) DO UPDATE SET calibration = excluded.calibration";
         let mut connection = self.connection();
         let mut write = || {
             let transaction = connection.transaction()?;
-            transaction.execute(sql, params![camera, calibration_id])?;
-            let approved = "INSERT OR IGNORE INTO approvals (calibration) VALUES (?1)";
-            transaction.execute(approved, params![calibration_id])?;
+            approve(&transaction, camera, calibration_id)?;
             transaction.commit()
         };
         write().map_err(|e| self.failed(&e))
@@ -182,6 +183,18 @@ fn insert(
     connection.execute(sql, row).map(drop)
 }
 
+fn approve(
+    connection: &Connection,
+    camera: &str,
+    calibration_id: &str,
+) -> Result<(), rusqlite::Error> {
+    let current = "INSERT INTO current_calibrations (camera, calibration) VALUES (?1, ?2)
+        ON CONFLICT (camera) DO UPDATE SET calibration = excluded.calibration";
+    connection.execute(current, params![camera, calibration_id])?;
+    let approved = "INSERT OR IGNORE INTO approvals (calibration) VALUES (?1)";
+    connection.execute(approved, params![calibration_id]).map(drop)
+}
+
 fn row_name(id: &str) -> String {
     format!("calibration {id}")
 }
@@ -226,7 +239,8 @@ impl StoredCalibration {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::store::example_tests::calibration;
+    use crate::calibration::session_record::SessionState;
+    use crate::store::example_tests::{calibration, record};
 
     #[test]
     fn calibrations_come_back_to_the_bit_newest_first() {
@@ -286,6 +300,23 @@ mod tests {
             store.set_current("front", id).unwrap();
             assert_eq!(store.current_calibration_id("front").unwrap().as_deref(), Some(id));
         }
+    }
+
+    #[test]
+    fn a_session_ends_with_its_calibration_and_what_is_current_or_not_at_all() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).unwrap();
+        let finished = |id: &str| SessionRecord { state: SessionState::Finished, ..record(id) };
+        store.begin_session(&record("s1")).unwrap();
+        let never_begun = store.finish_session(&finished("s9"), &calibration("c1", 1), true);
+        assert!(matches!(never_begun, Err(StoreError::Missing { .. })));
+        assert_eq!(store.calibration("c1").unwrap(), None);
+        assert_eq!(store.current_calibration_id("front").unwrap(), None);
+        store.finish_session(&finished("s1"), &calibration("c1", 1), false).unwrap();
+        assert_eq!(store.current_calibration_id("front").unwrap(), None);
+        store.finish_session(&finished("s1"), &calibration("c2", 2), true).unwrap();
+        assert_eq!(store.session("s1").unwrap().unwrap().state, SessionState::Finished);
+        assert_eq!(store.current_calibration_id("front").unwrap().as_deref(), Some("c2"));
     }
 
     #[test]

@@ -1,0 +1,179 @@
+//! What is current of a camera's calibrations, and what is said of it, on sources that do what the
+//! test says.
+
+use std::thread;
+
+use crate::calibration::result::{
+    CalibratedSensor, Calibration, Checks, Grade, ImageCalibration, ProjectionUncertainty, Verdict,
+};
+use crate::calibration::sensor::SensorId;
+use crate::calibration::session_record::{SessionRecord, SessionState};
+use crate::geometry::lens::{Lens, LensModel};
+use crate::geometry::pixel::ImageSize;
+use crate::imaging::frame::SensorKind;
+use crate::pipeline::camera_status::CameraState;
+use crate::pipeline::event::EventKind;
+use crate::pipeline::instrument::RigPlan;
+use crate::pipeline::running::Exchange;
+use crate::pipeline::scripted::*;
+use crate::store::Store;
+
+/// A calibration of `front`, or of a rig that it is in, from images of this width.
+fn calibration(name: &str, instrument: &str, width: u32) -> Calibration {
+    let mut id = SensorId::own(SensorKind::Color);
+    if instrument != "front" {
+        id = SensorId::of("front", SensorKind::Color);
+    }
+    let lens = Lens::from_parameters(LensModel::Pinhole, &[60.0, 60.0, 32.0, 24.0, 0.0]).unwrap();
+    let sensor = ImageCalibration {
+        image_size: ImageSize::new(width, 48),
+        lens,
+        lens_std: vec![0.1; 5],
+        lens_covariance: Vec::new(),
+        rms_px: 0.1,
+        uncertainty_px: ProjectionUncertainty::default(),
+        views: Vec::new(),
+        compared: Vec::new(),
+        board_warp_m: None,
+        board_shape: None,
+        rolling_shutter: None,
+        scene: None,
+    };
+    Calibration {
+        id: name.to_owned(),
+        camera: Some(instrument.to_owned()),
+        session: Some("s1".to_owned()),
+        created_at_ns: 1,
+        ..Calibration::unnamed(
+            None::<crate::geometry::target::Target>,
+            vec![CalibratedSensor::image(id, sensor)],
+            (Checks::default(), Verdict { grade: Grade::Good, reasons: Vec::new() }),
+        )
+    }
+}
+
+/// The calibration `c1` of `instrument` is current, of a device with the serial number A.
+fn calibrated(folder: &tempfile::TempDir, instrument: &str, width: u32) {
+    let store = Store::open(folder.path()).unwrap();
+    let record = SessionRecord {
+        devices: [("front".to_owned(), "serial A".to_owned())].into(),
+        state: SessionState::Finished,
+        ..SessionRecord::begin("s1", instrument, request(), 0)
+    };
+    store.begin_session(&record).unwrap();
+    store.append_calibration(&calibration("c1", instrument, width)).unwrap();
+    store.set_current(instrument, "c1").unwrap();
+}
+
+#[tokio::test]
+async fn a_focus_that_moves_after_a_session_is_a_drift() {
+    let folder = tempfile::tempdir().unwrap();
+    calibrated(&folder, "front", 64);
+    let (plan, script) = scripted("front");
+    let feed = script.plug_in();
+    let fleet = fleet_of(vec![plan], &folder, PATIENCE);
+    let mut events = fleet.events(Some(0));
+    feed.send(ScriptStep::Frame).unwrap();
+    until_state(&mut events, "front", CameraState::Streaming).await;
+    let id = fleet.start_session("front", request()).await.unwrap().id;
+    // The first may have been on its way when the session began; the second is the session's.
+    (0..2).for_each(|_| feed.send(ScriptStep::Frame).unwrap());
+    until(&mut events, |event| (event.kind.name() == "detection").then_some(())).await;
+    fleet.abort_session(&id).await.unwrap();
+    feed.send(ScriptStep::Move).unwrap();
+    (0..3).for_each(|_| feed.send(ScriptStep::Frame).unwrap());
+    let drift = until(&mut events, |event| match &event.kind {
+        EventKind::Drift(drift) => Some(drift.clone()),
+        _ => None,
+    })
+    .await;
+    assert_eq!((drift.calibration.as_str(), drift.reason.as_str()), ("c1", "focus is 30, was 10"));
+    assert_eq!(fleet.camera("front").unwrap().reason.as_deref(), Some("focus is 30, was 10"));
+}
+
+/// What is said of the current calibration, and the camera's reason, when a device with this serial
+/// number gives frames of 64x48.
+async fn said_of_calibration(width: u32, serial: &str) -> String {
+    let folder = tempfile::tempdir().unwrap();
+    calibrated(&folder, "front", width);
+    let (plan, script) = scripted("front");
+    let feed = script.plug_in_device(Some(serial));
+    let fleet = fleet_of(vec![plan], &folder, PATIENCE);
+    let mut events = fleet.events(Some(0));
+    feed.send(ScriptStep::Frame).unwrap();
+    let status = until_state(&mut events, "front", CameraState::Streaming).await;
+    let Some(reason) = status.reason else { return String::new() };
+    let drift = until(&mut events, |event| match &event.kind {
+        EventKind::Drift(drift) => Some(drift.clone()),
+        _ => None,
+    })
+    .await;
+    assert_eq!((drift.calibration.as_str(), &drift.reason), ("c1", &reason));
+    // The same device again is no news, and one that is right is said to be.
+    feed.send(ScriptStep::Fail(lost("unplugged"))).unwrap();
+    until_state(&mut events, "front", CameraState::Lost).await;
+    let feed = script.plug_in_device(Some(serial));
+    feed.send(ScriptStep::Frame).unwrap();
+    let again = until(&mut events, |event| match &event.kind {
+        EventKind::Drift(_) => panic!("said twice"),
+        EventKind::Camera(status) if status.state == CameraState::Streaming => {
+            Some(status.reason.clone())
+        }
+        _ => None,
+    })
+    .await;
+    assert_eq!(again.as_ref(), Some(&reason));
+    reason
+}
+
+#[tokio::test]
+async fn a_calibration_of_other_images_is_said_to_be() {
+    assert_eq!(said_of_calibration(64, "A").await, "");
+    let reason = said_of_calibration(64, "B").await;
+    assert!(reason.starts_with("the device is serial B now, the calibration is of serial A: "));
+    let reason = said_of_calibration(80, "A").await;
+    assert!(reason.starts_with("color images are 64x48 now, the calibration is for 80x48: "));
+}
+
+#[tokio::test]
+async fn a_rig_s_calibration_of_another_camera_is_said_to_be() {
+    let folder = tempfile::tempdir().unwrap();
+    calibrated(&folder, "head", 64);
+    let (plans, scripts): (Vec<_>, Vec<_>) =
+        ["front", "rear"].iter().map(|name| scripted(name)).unzip();
+    let fleet = fleet_of(plans, &folder, PATIENCE);
+    let mut events = fleet.events(Some(0));
+    let feeds: Vec<_> = scripts.iter().map(|script| script.plug_in_device(Some("B"))).collect();
+    feeds.iter().for_each(|feed| feed.send(ScriptStep::Frame).unwrap());
+    let status = until_state(&mut events, "front", CameraState::Streaming).await;
+    assert_eq!(status.reason, None, "it is in no rig");
+    let cameras = vec!["front".to_owned(), "rear".to_owned()];
+    let rigs = vec![RigPlan { name: "head".to_owned(), cameras }];
+    fleet.exchange(Exchange { rigs, ..Exchange::default() }).unwrap();
+    let drift = until(&mut events, |event| match &event.kind {
+        EventKind::Drift(drift) if event.camera == "head" => Some(drift.clone()),
+        _ => None,
+    })
+    .await;
+    let said = "the device is serial B now, the calibration of rig `head` is of serial A: ";
+    assert!(drift.reason.starts_with(said), "{}", drift.reason);
+}
+
+/// Two that are approved at the same time: the one that is stored last is the one that is shown.
+#[test]
+fn approvals_at_once_leave_what_is_shown_as_it_is_stored() {
+    let folder = tempfile::tempdir().unwrap();
+    calibrated(&folder, "front", 64);
+    let (plan, _script) = scripted("front");
+    let fleet = fleet_of(vec![plan], &folder, PATIENCE);
+    fleet.store().append_calibration(&calibration("c2", "front", 64)).unwrap();
+    for _ in 0..50 {
+        thread::scope(|scope| {
+            for id in ["c1", "c2"] {
+                scope.spawn(|| fleet.approve(id).unwrap());
+            }
+        });
+        let shown = fleet.camera("front").unwrap().calibration;
+        assert_eq!(shown, fleet.store().current_calibration_id("front").unwrap());
+    }
+}
