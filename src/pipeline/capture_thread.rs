@@ -13,10 +13,11 @@ use std::time::{Duration, Instant};
 
 use crate::capture::{CaptureError, FrameSource, Losses, SourceDescription, SourceOpener};
 use crate::geometry::pixel::ImageSize;
-use crate::imaging::frame::FrameSet;
+use crate::imaging::frame::{Frame, FrameSet};
 use crate::pipeline::camera_status::{CameraIdentity, CameraState, SensorStatus};
 use crate::pipeline::captured::{Captured, CapturedFrame};
 use crate::pipeline::closing::Closing;
+use crate::pipeline::current_calibration::ImagesNow;
 use crate::pipeline::frame_rate::FrameRate;
 use crate::pipeline::guarded::guarded;
 use crate::pipeline::live_camera::LiveCamera;
@@ -31,7 +32,8 @@ pub struct Supervision {
     /// The longest such wait. Default: 5 s.
     pub longest_retry: Duration,
     /// How often the device is asked whether focus, zoom and exposure still have the values of the
-    /// last session. Default: 2 s.
+    /// last session; and how often at most a change of the images' size is compared with the
+    /// calibrations. Default: 2 s.
     pub moved_check: Duration,
     /// The wait before a source that needs a person is tried again. Default: 10 s.
     pub failed_retry: Duration,
@@ -89,6 +91,10 @@ pub(super) struct Capture {
     pub(super) may_stall: bool,
     pub(super) rate: FrameRate,
     pub(super) retry: Duration,
+    /// Whether the size of its images changed since they were compared.
+    pub(super) resized: bool,
+    /// When they were compared last because of that.
+    pub(super) compared: Option<Instant>,
     /// What a driver has not let go of.
     pub(super) held: Option<Closing>,
 }
@@ -257,9 +263,12 @@ impl Capture {
     /// Shows what has moved since the last session: the calibration may no longer hold.
     fn report_moved(&self, source: &dyn FrameSource) {
         let moved = source.moved_since_calibrating();
-        let known = self.camera.status.borrow().reason == moved;
-        self.camera.gives_frames(moved.as_deref());
-        if let Some(moved) = moved.filter(|_| !known) {
+        let before = std::mem::replace(&mut self.camera.images().moved, moved.clone());
+        if before == moved {
+            return;
+        }
+        self.camera.compare_calibrations();
+        if let Some(moved) = moved {
             let _ = self.camera.messages.blocking_send(Message::Moved(moved));
         }
     }
@@ -327,11 +336,31 @@ impl Capture {
                     .collect();
             }
         });
-        if self.camera.status.borrow().state != CameraState::Streaming {
-            self.camera.gives_frames(None);
-            if let Some(search) = self.camera.search.get() {
-                search.assembly.back(search.place);
-            }
+        if self.camera.status.borrow().state == CameraState::Streaming {
+            self.compare_sizes(&frame_set.frames, arrived);
+            return;
+        }
+        // Another device may be there now.
+        let mut images = self.camera.images();
+        *images = ImagesNow::default();
+        images.take_sizes(&frame_set.frames);
+        drop(images);
+        (self.resized, self.compared) = (false, None);
+        self.camera.gives_frames();
+        if let Some(search) = self.camera.search.get() {
+            search.assembly.back(search.place);
+        }
+    }
+
+    /// A stream's images may change their size as it goes on, a folder's with each image: the
+    /// calibrations are compared again, but not with each.
+    fn compare_sizes(&mut self, frames: &[Frame], arrived: Instant) {
+        self.resized |= self.camera.images().take_sizes(frames);
+        let wait = self.supervision.moved_check;
+        let is_due = self.compared.is_none_or(|at| arrived.duration_since(at) >= wait);
+        if self.resized && is_due {
+            (self.resized, self.compared) = (false, Some(arrived));
+            self.camera.compare_calibrations();
         }
     }
 

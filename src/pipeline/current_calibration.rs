@@ -1,11 +1,38 @@
 //! A current calibration, a camera's own or that of a rig it is in, held against the images that
 //! the camera gives now.
 
+use std::collections::BTreeMap;
+
 use crate::calibration::drift::Drift;
 use crate::calibration::provenance::Provenance;
 use crate::calibration::sensor::SensorId;
+use crate::geometry::pixel::ImageSize;
+use crate::imaging::frame::{Frame, SensorKind};
 use crate::store::Store;
 use crate::store::error::StoreError;
+
+/// What is known of the images that come now.
+#[derive(Debug, Default)]
+pub(super) struct ImagesNow {
+    /// What has moved since a session held it.
+    pub(super) moved: Option<String>,
+    /// The size of each sensor's images; a sensor may be missing from a frame set.
+    pub(super) sizes: BTreeMap<SensorKind, ImageSize>,
+}
+
+impl ImagesNow {
+    /// Takes in a frame set's sizes; whether a sensor has another one now. A frame that could not
+    /// be read has none.
+    pub(super) fn take_sizes(&mut self, frames: &[Frame]) -> bool {
+        let mut resized = false;
+        for Frame { sensor, size, .. } in frames {
+            if size.width > 0 && size.height > 0 {
+                resized |= self.sizes.insert(*sensor, *size) != Some(*size);
+            }
+        }
+        resized
+    }
+}
 
 /// A current calibration, as far as it concerns one camera.
 #[derive(Debug)]

@@ -1,7 +1,9 @@
 //! What is current of a camera's calibrations, and what is said of it, on sources that do what the
 //! test says.
 
+use std::sync::mpsc::Sender;
 use std::thread;
+use std::time::Duration;
 
 use crate::calibration::result::{
     CalibratedSensor, Calibration, Checks, Grade, ImageCalibration, ProjectionUncertainty, Verdict,
@@ -11,8 +13,9 @@ use crate::calibration::session_record::{SessionRecord, SessionState};
 use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::SensorKind;
+use crate::pipeline::Supervision;
 use crate::pipeline::camera_status::CameraState;
-use crate::pipeline::event::EventKind;
+use crate::pipeline::event::{EventKind, EventStream};
 use crate::pipeline::instrument::RigPlan;
 use crate::pipeline::running::Exchange;
 use crate::pipeline::scripted::*;
@@ -89,6 +92,94 @@ async fn a_focus_that_moves_after_a_session_is_a_drift() {
     .await;
     assert_eq!((drift.calibration.as_str(), drift.reason.as_str()), ("c1", "focus is 30, was 10"));
     assert_eq!(fleet.camera("front").unwrap().reason.as_deref(), Some("focus is 30, was 10"));
+
+    // Another comparison keeps it, and the same is not reported again.
+    fleet.approve("c1").unwrap();
+    assert_eq!(fleet.camera("front").unwrap().reason.as_deref(), Some("focus is 30, was 10"));
+    assert_eq!(drifts_in(&feed, &mut events, &[64; 3]).await, [] as [String; 0]);
+    let id = fleet.start_session("front", request()).await.unwrap().id;
+    // What was on its way to the session's thread came before this.
+    until(&mut events, |event| match &event.kind {
+        EventKind::Drift(drift) => panic!("reported twice: {}", drift.reason),
+        EventKind::Session(record) => (record.id == id).then_some(()),
+        _ => None,
+    })
+    .await;
+}
+
+/// What is reported of the current calibration while frames of these widths come, each when the
+/// one before has been passed on.
+async fn drifts_in(
+    feed: &Sender<ScriptStep>,
+    events: &mut EventStream,
+    widths: &[u32],
+) -> Vec<String> {
+    let mut drifts = Vec::new();
+    for width in widths {
+        feed.send(ScriptStep::Sized(ImageSize::new(*width, 48))).unwrap();
+        until(events, |event| match &event.kind {
+            EventKind::Drift(drift) => {
+                drifts.push(drift.reason.clone());
+                None
+            }
+            EventKind::Frame(_) => Some(()),
+            _ => None,
+        })
+        .await;
+    }
+    drifts
+}
+
+#[tokio::test]
+async fn another_size_in_the_middle_of_a_stream_is_a_drift_until_it_is_back() {
+    let folder = tempfile::tempdir().unwrap();
+    calibrated(&folder, "front", 64);
+    let (plan, script) = scripted("front");
+    let feed = script.plug_in_device(Some("A"));
+    let fleet = fleet_of(vec![plan], &folder, PATIENCE);
+    let mut events = fleet.events(Some(0));
+    assert_eq!(drifts_in(&feed, &mut events, &[64, 64]).await, [] as [String; 0]);
+    // One that could not be read has no size.
+    assert_eq!(drifts_in(&feed, &mut events, &[0, 64]).await, [] as [String; 0]);
+    let drifts = drifts_in(&feed, &mut events, &[80, 80, 0, 80]).await;
+    let said = "color images are 80x48 now, the calibration is for 64x48: ";
+    assert!(matches!(drifts.as_slice(), [only] if only.starts_with(said)), "{drifts:?}");
+    assert_eq!(fleet.camera("front").unwrap().reason, Some(drifts[0].clone()));
+    assert_eq!(drifts_in(&feed, &mut events, &[64, 64]).await, [] as [String; 0]);
+    let status = fleet.camera("front").unwrap();
+    assert_eq!((status.state, status.reason), (CameraState::Streaming, None));
+}
+
+#[tokio::test]
+async fn a_folder_of_mixed_sizes_does_not_flood_the_events() {
+    let folder = tempfile::tempdir().unwrap();
+    calibrated(&folder, "front", 64);
+    let (plan, script) = scripted("front");
+    let feed = script.plug_in_device(Some("A"));
+    let hour = Duration::from_secs(3600);
+    let supervision = Supervision { moved_check: hour, ..watched(PATIENCE) };
+    let fleet = fleet_supervised(vec![plan], &folder, supervision);
+    let mut events = fleet.events(Some(0));
+    let drifts = drifts_in(&feed, &mut events, &[64, 80].repeat(20)).await;
+    assert_eq!(drifts.len(), 1, "{drifts:?}");
+}
+
+#[tokio::test]
+async fn a_lost_camera_stays_lost_when_another_calibration_is_current() {
+    let folder = tempfile::tempdir().unwrap();
+    calibrated(&folder, "front", 80);
+    let (plan, script) = scripted("front");
+    let feed = script.plug_in_device(Some("A"));
+    let fleet = fleet_of(vec![plan], &folder, PATIENCE);
+    let mut events = fleet.events(Some(0));
+    feed.send(ScriptStep::Frame).unwrap();
+    until_state(&mut events, "front", CameraState::Streaming).await;
+    feed.send(ScriptStep::Fail(lost("unplugged"))).unwrap();
+    until_state(&mut events, "front", CameraState::Lost).await;
+    fleet.approve("c1").unwrap();
+    let status = fleet.camera("front").unwrap();
+    assert_eq!(status.state, CameraState::Lost);
+    assert!(status.reason.unwrap().starts_with("camera 7 was lost: "));
 }
 
 /// What is said of the current calibration, and the camera's reason, when a device with this serial

@@ -1,6 +1,6 @@
 //! What a camera's threads share: its state as seen from outside, and the links between them.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::{mpsc, watch};
 
@@ -13,7 +13,7 @@ use crate::imaging::depth_encoding::DepthEncoding;
 use crate::pipeline::assembly::SharedFactory;
 use crate::pipeline::camera_status::{CameraState, CameraStatus};
 use crate::pipeline::captured::Captured;
-use crate::pipeline::current_calibration::CurrentCalibration;
+use crate::pipeline::current_calibration::{CurrentCalibration, ImagesNow};
 use crate::pipeline::event::{EventKind, EventLog};
 use crate::pipeline::frame_slot::FrameSlot;
 use crate::pipeline::live_frame::LiveFrame;
@@ -48,6 +48,8 @@ pub(super) struct LiveCamera {
     pub(super) guidance: Mutex<Guidance>,
     /// What the running session kept last of a scene.
     pub(super) key_frame: Mutex<Option<SceneImage>>,
+    /// The images that come now.
+    pub(super) images: Mutex<ImagesNow>,
     /// Its own current calibration.
     pub(super) calibrated: Mutex<Option<CurrentCalibration>>,
     /// The rigs that it is in with their current calibrations, the newest last.
@@ -79,28 +81,68 @@ impl LiveCamera {
         self.announce();
     }
 
-    /// It gives frames. The reason is what has `moved` since a session held it, else why a current
+    /// It gives frames. The reason is what has moved since a session held it, else why a current
     /// calibration may not be of these images, which is also reported as drift.
-    pub(super) fn gives_frames(&self, moved: Option<&str>) {
-        let status = self.status.borrow();
-        let sizes = status.sensors.iter().map(|sensor| (sensor.kind, sensor.size));
+    pub(super) fn gives_frames(&self) {
+        let images = self.images();
+        let (reason, drifts) = self.changes_now(&images);
+        self.set_state(CameraState::Streaming, reason.as_deref());
+        drop(images);
+        self.publish_drifts(drifts);
+    }
+
+    /// Holds the current calibrations against the images that come now once more: where another
+    /// one is current, or the images have changed. A camera that gives none stays as it is.
+    pub(super) fn compare_calibrations(&self) {
+        let images = self.images();
+        if self.status.borrow().state != CameraState::Streaming {
+            return;
+        }
+        let (reason, drifts) = self.changes_now(&images);
+        let shown = reason.clone();
+        // It may have been lost meanwhile.
+        let changed = self.status.send_if_modified(|status| {
+            let changed = status.state == CameraState::Streaming && status.reason != reason;
+            if changed {
+                status.reason = reason;
+            }
+            changed
+        });
+        if changed {
+            tracing::info!(camera = self.name, reason = shown, "camera");
+            self.announce();
+        }
+        drop(images);
+        self.publish_drifts(drifts);
+    }
+
+    /// What is known of the images that come now; held while it is compared and the reason is set,
+    /// so that the last comparison is the one that is shown.
+    pub(super) fn images(&self) -> MutexGuard<'_, ImagesNow> {
+        self.images.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The reason that these images give, and what of it was not reported yet, each for its camera
+    /// or rig.
+    fn changes_now(&self, images: &ImagesNow) -> (Option<String>, Vec<(String, Drift)>) {
         let now = Provenance {
             source: Some(self.image_source.clone()),
-            device: status.identity.device(),
-            image_sizes: sizes.collect(),
+            device: self.status.borrow().identity.device(),
+            image_sizes: images.sizes.clone(),
         };
-        drop(status);
         let mut own = self.calibrated.lock().unwrap_or_else(PoisonError::into_inner);
         let mut rigs = self.rigs.lock().unwrap_or_else(PoisonError::into_inner);
         let of_rigs = rigs.iter_mut().filter_map(|rig| rig.current.as_mut());
-        let (mut reason, mut drifts) = (moved.map(str::to_owned), Vec::new());
+        let (mut reason, mut drifts) = (images.moved.clone(), Vec::new());
         for current in own.iter_mut().chain(of_rigs) {
             let (change, drift) = current.change(&now);
             reason = reason.or(change);
             drifts.extend(drift.map(|drift| (current.instrument().to_owned(), drift)));
         }
-        drop((own, rigs));
-        self.set_state(CameraState::Streaming, reason.as_deref());
+        (reason, drifts)
+    }
+
+    fn publish_drifts(&self, drifts: Vec<(String, Drift)>) {
         drifts.into_iter().for_each(|(instrument, drift)| self.publish_drift(&instrument, drift));
     }
 
@@ -116,14 +158,6 @@ impl LiveCamera {
         *self.calibrated.lock().unwrap_or_else(PoisonError::into_inner) = current;
         self.status.send_modify(|status| status.calibration = Some(id.to_owned()));
         self.compare_calibrations();
-    }
-
-    /// Says what differs, where another calibration is the current one now.
-    fn compare_calibrations(&self) {
-        let state = self.status.borrow().state;
-        if state == CameraState::Streaming {
-            self.gives_frames(None);
-        }
     }
 
     /// Says that the current calibration of `instrument` may not hold any more.

@@ -150,6 +150,7 @@ pub(super) fn start_camera(
         preview: Preview::new(Arc::clone(&shared.maps)),
         guidance: Mutex::default(),
         key_frame: Mutex::default(),
+        images: Mutex::default(),
         calibrated: Mutex::new(current),
         rigs: Mutex::default(),
         image_source,
@@ -177,6 +178,8 @@ pub(super) fn start_camera(
         may_stall,
         rate: FrameRate::default(),
         retry: options.supervision.first_retry,
+        resized: false,
+        compared: None,
         held: None,
     };
     let detect = Detect::new(Arc::clone(&camera));

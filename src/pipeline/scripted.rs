@@ -30,6 +30,8 @@ pub(super) enum ScriptStep {
     Frame,
     /// A frame that was taken so many milliseconds after the epoch.
     At(i64),
+    /// A frame of this size.
+    Sized(ImageSize),
     Fail(CaptureError),
     Panic,
     /// Somebody moved its focus ring.
@@ -61,13 +63,17 @@ impl Drop for Scripted {
 }
 
 pub(super) fn gray_frame(sequence: u64) -> FrameSet {
-    let size = ImageSize::new(64, 48);
+    frame_of(sequence, ImageSize::new(64, 48))
+}
+
+fn frame_of(sequence: u64, size: ImageSize) -> FrameSet {
+    let stride = size.width as usize;
     let frame = Frame {
         sensor: SensorKind::Color,
         size,
         format: PixelFormat::Mono8,
-        stride: 64,
-        bytes: vec![9; 64 * 48].into(),
+        stride,
+        bytes: vec![9; stride * size.height as usize].into(),
     };
     let host_time = HostTime { utc_ns: sequence as i64 * 1_000_000 };
     FrameSet { sequence, host_time, device_time: None, name: None, frames: vec![frame] }
@@ -84,6 +90,10 @@ impl FrameSource for Scripted {
                 self.sequence += 1;
                 let host_time = HostTime { utc_ns: ms * 1_000_000 };
                 Ok(FrameSet { host_time, ..gray_frame(self.sequence - 1) })
+            }
+            Ok(ScriptStep::Sized(size)) => {
+                self.sequence += 1;
+                Ok(frame_of(self.sequence - 1, size))
             }
             Ok(ScriptStep::Fail(error)) => Err(error),
             Ok(ScriptStep::Panic) => panic!("the driver's binding broke"),
