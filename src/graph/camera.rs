@@ -22,10 +22,17 @@ pub(super) struct GraphTopics {
     pub start: ServiceServer,
     pub stop: ServiceServer,
     pub driver: Option<Driver>,
-    /// The current calibration.
+    pub known: KnownCalibration,
+}
+
+/// What the graph knows of a current calibration.
+#[derive(Debug, Default)]
+pub(super) struct KnownCalibration {
+    /// What it says.
     pub results: Option<Results>,
-    /// Why it may not hold any more.
-    pub drift: Option<String>,
+    /// Why boards that a session kept do not agree with it; that stays until there is another one.
+    /// Other reasons come and go with the state of the camera.
+    pub residual_drift: Option<String>,
 }
 
 impl GraphTopics {
@@ -50,8 +57,7 @@ impl GraphTopics {
             start: service("start")?,
             stop: service("stop")?,
             driver: set_camera_info.map(|name| Driver::new(participant, name)).transpose()?,
-            results: None,
-            drift: None,
+            known: KnownCalibration::default(),
         })
     }
 
@@ -83,14 +89,13 @@ impl GraphTopics {
                 writer.send(message.clone())?;
             }
         }
-        self.drift = None;
-        self.results = Some(results);
+        self.known = KnownCalibration { results: Some(results), residual_drift: None };
         Ok(())
     }
 
     /// Publishes what is known of `camera` again, with the stamp of an image that it took.
     pub fn publish_with_image(&self, camera: &str, utc_ns: i64) -> Result<(), DdsError> {
-        let infos = self.results.iter().flat_map(|results| &results.infos);
+        let infos = self.known.results.iter().flat_map(|results| &results.infos);
         for SensorInfo { namespace, message, .. } in infos.filter(|info| info.camera == camera) {
             if let Some(writer) = self.infos.get(&info_topic(namespace)) {
                 writer.send(restamped(message, utc_ns))?;

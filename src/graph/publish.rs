@@ -9,8 +9,9 @@ use tokio::sync::{Notify, mpsc, watch};
 
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
 use crate::dds::{DdsError, Domain, Durability, Participant, Request, TopicWriter};
-use crate::graph::camera::GraphTopics;
+use crate::graph::camera::{GraphTopics, KnownCalibration};
 use crate::graph::diagnosis;
+use crate::graph::driver::Driver;
 use crate::graph::results::{Results, SensorInfo};
 use crate::pipeline::event::{Event, EventKind};
 use crate::pipeline::fleet::Fleet;
@@ -242,7 +243,10 @@ impl GraphTask {
                 self.diagnose();
             }
             EventKind::Drift(drift) => {
-                topics.drift = Some(drift.reason.clone());
+                // Without a residual it is in the state too, for as long as it is so.
+                if drift.rms_px.is_some() {
+                    topics.known.residual_drift = Some(drift.reason.clone());
+                }
                 self.diagnose();
             }
             EventKind::Camera(_) => self.diagnose(),
@@ -284,7 +288,7 @@ impl GraphTask {
     }
 
     fn publish_transforms(&self) {
-        let known = self.topics.values().filter_map(|topics| topics.results.as_ref());
+        let known = self.topics.values().filter_map(|topics| topics.known.results.as_ref());
         let transforms: Vec<FrameTransform> =
             known.flat_map(|results| results.transforms.iter().cloned()).collect();
         if !transforms.is_empty() {
@@ -300,14 +304,15 @@ impl GraphTask {
 
     fn diagnose(&self) {
         let now_ns = utc_now_ns();
+        let unknown = KnownCalibration::default();
+        let known = |name: &str| self.topics.get(name).map_or(&unknown, |topics| &topics.known);
         let cameras = self.fleet.cameras().into_iter().map(|status| {
             let topics = self.topics.get(&status.name);
-            diagnosis::of(&status, topics, now_ns)
+            let driver = topics.and_then(|topics| topics.driver.as_ref()).map(Driver::words);
+            diagnosis::of(&status, known(&status.name), driver, now_ns)
         });
-        let rigs = self.fleet.rigs().into_iter().map(|status| {
-            let topics = self.topics.get(&status.name);
-            diagnosis::of_rig(&status, topics, now_ns)
-        });
+        let rigs = self.fleet.rigs().into_iter();
+        let rigs = rigs.map(|status| diagnosis::of_rig(&status, known(&status.name), now_ns));
         let all: Vec<_> = cameras.chain(rigs).collect();
         warn(self.diagnostics.send(diagnostics(&all, now_ns)));
     }

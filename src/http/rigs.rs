@@ -111,6 +111,6 @@ pub(super) async fn calibrations(
 }
 
 fn rig_document(status: RigStatus) -> RigDocument {
-    let RigStatus { name, cameras, session, calibration } = status;
+    let RigStatus { name, cameras, session, calibration, .. } = status;
     RigDocument { name, cameras, session, calibration }
 }

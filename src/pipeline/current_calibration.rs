@@ -83,6 +83,11 @@ impl CurrentCalibration {
         &self.instrument
     }
 
+    /// Why it may not hold for the images that were compared last.
+    pub(super) fn said(&self) -> Option<&str> {
+        self.said.as_deref()
+    }
+
     /// Why it may not hold for images of `now`; and the same as drift where it was not said yet.
     pub(super) fn change(&mut self, now: &Provenance) -> (Option<String>, Option<Drift>) {
         let change = self.provenance.change(now, &self.name);

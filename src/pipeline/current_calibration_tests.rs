@@ -214,6 +214,19 @@ async fn said_of_calibration(width: u32, serial: &str) -> String {
     })
     .await;
     assert_eq!(again.as_ref(), Some(&reason));
+    feed.send(ScriptStep::Fail(lost("unplugged"))).unwrap();
+    until_state(&mut events, "front", CameraState::Lost).await;
+    let feed = script.plug_in_device(Some("A"));
+    feed.send(ScriptStep::Sized(ImageSize::new(width, 48))).unwrap();
+    let right = until(&mut events, |event| match &event.kind {
+        EventKind::Drift(drift) => panic!("said of the right one: {}", drift.reason),
+        EventKind::Camera(status) if status.state == CameraState::Streaming => {
+            Some(status.reason.clone())
+        }
+        _ => None,
+    })
+    .await;
+    assert_eq!(right, None);
     reason
 }
 
@@ -248,6 +261,13 @@ async fn a_rig_s_calibration_of_another_camera_is_said_to_be() {
     .await;
     let said = "the device is serial B now, the calibration of rig `head` is of serial A: ";
     assert!(drift.reason.starts_with(said), "{}", drift.reason);
+    assert_eq!(fleet.rig("head").unwrap().reason, Some(drift.reason));
+    feeds[0].send(ScriptStep::Fail(lost("unplugged"))).unwrap();
+    until_state(&mut events, "front", CameraState::Lost).await;
+    let feed = scripts[0].plug_in_device(Some("A"));
+    feed.send(ScriptStep::Frame).unwrap();
+    until_state(&mut events, "front", CameraState::Streaming).await;
+    assert_eq!(fleet.rig("head").unwrap().reason, None);
 }
 
 /// Two that are approved at the same time: the one that is stored last is the one that is shown.

@@ -35,6 +35,9 @@ pub struct RigStatus {
     pub session: Option<String>,
     /// The current approved calibration, if there is one.
     pub calibration: Option<String>,
+    /// Why that may not hold any more for the images of one of its cameras; `None` while all is
+    /// well.
+    pub reason: Option<String>,
 }
 
 /// One instrument, as its threads and its readers see it.
@@ -110,6 +113,7 @@ impl Instrument {
             cameras: self.cameras.iter().map(|camera| camera.name.clone()).collect(),
             session: running.map(|record| record.id.clone()),
             calibration: self.calibration.borrow().clone(),
+            reason: self.cameras.iter().find_map(|camera| camera.said_of_rig(&self.name)),
         }
     }
 

@@ -222,6 +222,13 @@ impl LiveCamera {
         self.compare_calibrations();
     }
 
+    /// Why the rig's calibration may not hold for the images that come now.
+    pub(super) fn said_of_rig(&self, rig: &str) -> Option<String> {
+        let rigs = self.rigs.lock().unwrap_or_else(PoisonError::into_inner);
+        let current = rigs.iter().find(|known| known.rig == rig)?.current.as_ref()?;
+        current.said().map(str::to_owned)
+    }
+
     /// It is in the rig no more.
     pub(super) fn forget_rig(&self, rig: &str) {
         let mut rigs = self.rigs.lock().unwrap_or_else(PoisonError::into_inner);
