@@ -1,14 +1,13 @@
 //! The .bag files of ROS 1, format 2.0: records of named fields and data, in chunks that may be
 //! compressed by bz2 or lz4 (wiki.ros.org/Bags/Format/2.0).
 
-use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufReader, Cursor, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use crate::recording::RecordingError;
 use crate::recording::bag::storage::{
-    BagMessage, BagStorage, BagTopic, MessageEncoding, one_type_name,
+    BagMessage, BagStorage, BagTopic, FoundTopics, MessageEncoding, one_type_name,
 };
 use crate::recording::fields::Fields;
 use crate::recording::records::{Broken, LONGEST_RECORD};
@@ -33,9 +32,7 @@ pub(super) struct Ros1Storage {
     file_length: u64,
     chunk: Option<BagChunk>,
     budget: UnpackBudget,
-    topics: Vec<BagTopic>,
-    /// The topic of each connection.
-    connections: BTreeMap<u32, usize>,
+    found: FoundTopics<u32>,
 }
 
 /// The chunk that is being read, with its bytes that are still to come.
@@ -75,8 +72,7 @@ impl Ros1Storage {
             file_length,
             chunk: None,
             budget: UnpackBudget::of_file(file_length),
-            topics: Vec::new(),
-            connections: BTreeMap::new(),
+            found: FoundTopics::default(),
         };
         storage.read_connections().map_err(|error| error.at(path, 0))?;
         storage.rewind().map_err(|error| error.at(path, 0))?;
@@ -96,7 +92,7 @@ impl Ros1Storage {
             self.file.seek(SeekFrom::Start(index_pos)).map_err(Broken::Io)?;
             self.scan_connections();
         }
-        if self.topics.is_empty() {
+        if self.found.topics.is_empty() {
             self.rewind()?;
             self.scan_connections();
         }
@@ -167,20 +163,16 @@ impl Ros1Storage {
     }
 
     fn connection(&mut self, header: &RecordHeader, length: u64) -> Result<(), Broken> {
-        if length > LONGEST_CONNECTION || self.connections.len() > MOST_CONNECTIONS {
+        if length > LONGEST_CONNECTION || self.found.of_ids.len() > MOST_CONNECTIONS {
             return Err(damaged("a connection that is longer than any message's definition"));
         }
         let data = self.read(length)?;
         let message_type =
             named_fields(&data, |name, value| (name == b"type").then(|| text(value)))?;
-        let name = header.topic.clone();
-        let known = self.topics.iter().position(|topic| topic.name == name);
-        let index = known.unwrap_or_else(|| {
-            let message_type = one_type_name(&message_type.unwrap_or_default());
-            self.topics.push(BagTopic { name, message_type, layout: MessageEncoding::Ros1 });
-            self.topics.len() - 1
-        });
-        self.connections.insert(header.connection, index);
+        let message_type = one_type_name(&message_type.unwrap_or_default());
+        let layout = MessageEncoding::Ros1;
+        let topic = BagTopic { name: header.topic.clone(), message_type, layout };
+        self.found.add(header.connection, topic);
         Ok(())
     }
 
@@ -215,7 +207,7 @@ impl Ros1Storage {
 
 impl BagStorage for Ros1Storage {
     fn topics(&self) -> &[BagTopic] {
-        &self.topics
+        &self.found.topics
     }
 
     fn next_message(&mut self, wanted: &[bool]) -> Result<Option<BagMessage>, Broken> {
@@ -223,7 +215,7 @@ impl BagStorage for Ros1Storage {
             match header.op {
                 CHUNK => self.enter_chunk(&header, length)?,
                 MESSAGE => {
-                    let topic = self.connections.get(&header.connection).copied();
+                    let topic = self.found.of_ids.get(&header.connection).copied();
                     match topic.filter(|topic| wanted.get(*topic) == Some(&true)) {
                         Some(topic) => {
                             let (log_time_ns, bytes) = (header.time_ns, self.read(length)?);

@@ -1,5 +1,8 @@
 //! What a bag is to its reader: topics, and messages in the order of their times.
 
+use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
+
 use crate::recording::fields::{Fields, TooShort};
 use crate::recording::records::Broken;
 
@@ -46,6 +49,28 @@ pub(super) struct BagTopic {
     /// As ROS 1 writes it: `sensor_msgs/Image`.
     pub(super) message_type: String,
     pub(super) layout: MessageEncoding,
+}
+
+/// The topics that are found as a bag's channels or connections are read. An id is of one topic,
+/// the first that it is given: there are never more topics than ids.
+#[derive(Debug, Default)]
+pub(super) struct FoundTopics<Id> {
+    pub(super) topics: Vec<BagTopic>,
+    /// The topic of each channel or connection.
+    pub(super) of_ids: BTreeMap<Id, usize>,
+    by_name: BTreeMap<String, usize>,
+}
+
+impl<Id: Ord> FoundTopics<Id> {
+    pub(super) fn add(&mut self, id: Id, topic: BagTopic) {
+        let Entry::Vacant(place) = self.of_ids.entry(id) else { return };
+        let next = self.topics.len();
+        let index = *self.by_name.entry(topic.name.clone()).or_insert(next);
+        place.insert(index);
+        if index == next {
+            self.topics.push(topic);
+        }
+    }
 }
 
 /// A message, on the topic with this index in [`BagStorage::topics`].
