@@ -30,7 +30,7 @@ pub enum CameraStateName {
 pub struct CameraDocument {
     /// Its name in the configuration.
     pub name: String,
-    /// What drives it: `v4l2`, `uvc`, `realsense`, `recording` or `simulator`.
+    /// What drives it: `v4l2`, `uvc`, `realsense`, `ros2`, `recording` or `simulator`.
     pub backend: String,
     /// What it is doing.
     pub state: CameraStateName,

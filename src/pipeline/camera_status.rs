@@ -71,7 +71,8 @@ impl CameraIdentity {
 pub struct CameraStatus {
     /// Its name in the configuration.
     pub name: String,
-    /// What kind of source it is: `v4l2`, `uvc`, `realsense`, `recording`, `simulator`.
+    /// What kind of source it is: `v4l2`, `uvc`, `realsense`, `ros2`, `recording`,
+    /// `simulator`.
     pub backend: String,
     /// Whether it delivers.
     pub state: CameraState,

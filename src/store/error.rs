@@ -74,7 +74,9 @@ pub enum StoreError {
         detail: String,
     },
     /// What is named is not there.
-    #[error("store: there is no {row}")]
+    #[error(
+        "store: there is no {row}; see GET /v1/sessions and GET /v1/cameras/CAMERA/calibrations for those there are"
+    )]
     Missing {
         /// What was asked for.
         row: String,
@@ -84,7 +86,7 @@ pub enum StoreError {
     Held {
         /// What was to be deleted.
         row: String,
-        /// Why it stays.
+        /// Why it stays, and what to do where something can be.
         reason: String,
     },
     /// The disk is fuller than it may become.

@@ -52,10 +52,14 @@ impl Store {
         };
         let Some(state) = state else { return Err(StoreError::Missing { row: row() }) };
         if SessionState::from_name(&state).is_some_and(|state| !state.is_over()) {
-            return Err(StoreError::Held { row: row(), reason: "it is not over".to_owned() });
+            return Err(StoreError::Held {
+                row: row(),
+                reason: "it is not over; stop it first".to_owned(),
+            });
         }
         if !self.prunable()?.iter().any(|(prunable, _)| prunable == id) {
-            let reason = "an approved calibration came from it".to_owned();
+            let reason =
+                "an approved calibration came from it, which is kept with its views".to_owned();
             return Err(StoreError::Held { row: row(), reason });
         }
         self.changed(|transaction| delete(transaction, id)).map(drop)
@@ -76,7 +80,10 @@ impl Store {
             transaction.execute("DELETE FROM calibrations WHERE id = ?1", [id]).map(Some)
         })?;
         match deleted {
-            None => Err(StoreError::Held { row: row(), reason: "it was approved".to_owned() }),
+            None => Err(StoreError::Held {
+                row: row(),
+                reason: "it was approved, and what was approved is kept".to_owned(),
+            }),
             Some(0) => Err(StoreError::Missing { row: row() }),
             Some(_) => Ok(()),
         }
@@ -251,13 +258,16 @@ mod tests {
         let refusal = |error: StoreError| error.to_string();
         assert_eq!(
             refusal(store.delete_session("s9").unwrap_err()),
-            "store: session s9 stays: it is not over"
+            "store: session s9 stays: it is not over; stop it first"
         );
         assert_eq!(
             refusal(store.delete_session("s1").unwrap_err()),
-            "store: session s1 stays: an approved calibration came from it"
+            "store: session s1 stays: an approved calibration came from it, which is kept with its views"
         );
-        assert!(matches!(store.delete_session("s77"), Err(StoreError::Missing { .. })));
+        assert_eq!(
+            refusal(store.delete_session("s77").unwrap_err()),
+            "store: there is no session s77; see GET /v1/sessions and GET /v1/cameras/CAMERA/calibrations for those there are"
+        );
         store.delete_session("s2").unwrap();
         assert_eq!(store.session("s2").unwrap(), None);
         assert!(store.calibration("c2").unwrap().is_some());
