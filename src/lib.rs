@@ -8,6 +8,7 @@
 //!
 //! | layer | what it is | may use |
 //! | --- | --- | --- |
+//! | `locks` | locks that outlive a fault of a thread | nothing |
 //! | [`geometry`] | poses, pixels, lenses, boards | nothing |
 //! | [`imaging`] | frames, luma, decoding, undistortion | geometry |
 //! | [`detection`] | one image → a board, or why not | geometry, imaging |
@@ -16,13 +17,13 @@
 //! | [`calibration`] | sessions, admission, coverage, verdicts | geometry, imaging, estimation, detection, features |
 //! | [`simulation`] | a rendered world with exact truth | geometry, imaging |
 //! | [`recording`] | frames on disk | geometry, imaging |
-//! | `dds` | DDS, as ROS 2 uses it: a domain's topics and services | nothing |
-//! | [`capture`] | where frames come from | dds, geometry, imaging, recording, simulation |
+//! | `dds` | DDS, as ROS 2 uses it: a domain's topics and services | locks |
+//! | [`capture`] | where frames come from | locks, dds, geometry, imaging, recording, simulation |
 //! | [`document`] | the contract's documents: one schema for CLI, HTTP and store | geometry, imaging, detection, estimation, calibration |
 //! | [`export`] | other programs' formats | geometry, imaging, calibration, document |
-//! | [`store`] | SQLite | geometry, imaging, detection, calibration, document |
+//! | [`store`] | SQLite | locks, geometry, imaging, detection, calibration, document |
 //! | [`pipeline`] | threads, channels, clocks | all of the above |
-//! | [`http`] | axum | geometry, imaging, detection, estimation, calibration, document, export, store, pipeline |
+//! | [`http`] | axum | locks, geometry, imaging, detection, estimation, calibration, document, export, store, pipeline |
 //! | `graph` | results on the graph of ROS 2 | dds, geometry, imaging, recording, calibration, store, pipeline |
 //! | `config`, `daemon`, `cli`, `main` | | anything; nothing uses them |
 //!
@@ -135,6 +136,7 @@ pub mod geometry;
 pub mod graph;
 pub mod http;
 pub mod imaging;
+mod locks;
 pub mod pipeline;
 pub mod recording;
 pub mod simulation;

@@ -2,7 +2,7 @@
 
 use std::net::Ipv4Addr;
 use std::sync::atomic::AtomicI32;
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::{Arc, Mutex, Weak};
 
 use rustdds::policy::{Durability as DdsDurability, History, Ownership, Reliability};
 use rustdds::{
@@ -15,6 +15,7 @@ use crate::dds::domain::Domain;
 use crate::dds::names::{dds_topic, dds_type, ros_topic, ros_type};
 use crate::dds::reader::TopicReader;
 use crate::dds::writer::{Durability, TopicWriter};
+use crate::locks::lock;
 
 /// What somebody publishes.
 #[derive(Debug, Clone, PartialEq)]
@@ -60,7 +61,7 @@ impl Participant {
     /// # Errors
     /// [`DdsError::Join`].
     pub fn join(domain: Domain) -> Result<Arc<Self>, DdsError> {
-        let mut joined = JOINED.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut joined = lock(&JOINED);
         joined.retain(|(_, participant)| participant.strong_count() > 0);
         let known = joined.iter().find(|(other, _)| *other == domain);
         if let Some(participant) = known.and_then(|(_, participant)| participant.upgrade()) {

@@ -6,7 +6,7 @@
 //! the other side speaks is in the first two bytes of its identity: DDS's number of the vendor.
 
 use std::collections::VecDeque;
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 use std::task::Waker;
 use std::time::{Duration, Instant};
 
@@ -17,6 +17,7 @@ use crate::dds::participant::Participant;
 use crate::dds::raw::HEAD;
 use crate::dds::reader::{ReaderChange, Received, TopicReader};
 use crate::dds::writer::{Durability, PREFIX, TopicWriter};
+use crate::locks::lock;
 
 /// Eclipse Cyclone DDS, in the DDS foundation's list of vendors.
 const CYCLONE: [u8; 2] = [0x01, 0x10];
@@ -84,7 +85,7 @@ impl ServiceServer {
     /// The next request that has come and whose client can be reached, or after a second whose
     /// client cannot. `now` is the time of the call.
     pub fn take(&self, now: Instant) -> Option<Request> {
-        let mut held = self.held.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut held = lock(&self.held);
         while held.len() < MOST_HELD
             && let Some(sample) = self.requests.take()
         {

@@ -1,7 +1,7 @@
 //! What goes out on a topic.
 
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicI32, Ordering};
-use std::sync::{Mutex, PoisonError};
 
 use rustdds::no_key::DataWriter;
 use rustdds::policy::{Durability as DdsDurability, History, Reliability};
@@ -12,6 +12,7 @@ use rustdds::{
 
 use crate::dds::DdsError;
 use crate::dds::raw::{AsItIs, RawMessage};
+use crate::locks::lock;
 
 /// Who gets a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -78,7 +79,7 @@ impl TopicWriter {
             if let DataWriterStatus::PublicationMatched { current, reader, .. } = status {
                 self.readers.store(current.count(), Ordering::Relaxed);
                 let Some(prefix) = reader.to_bytes().first_chunk().copied() else { continue };
-                let mut reached = self.reached.lock().unwrap_or_else(PoisonError::into_inner);
+                let mut reached = lock(&self.reached);
                 if current.count_change() > 0 {
                     reached.push(prefix);
                 } else if let Some(gone) = reached.iter().position(|known| *known == prefix) {
@@ -92,7 +93,7 @@ impl TopicWriter {
     /// Whether it has found a reader of this participant.
     pub(super) fn has_reader_of(&self, participant: [u8; PREFIX]) -> bool {
         self.readers();
-        self.reached.lock().unwrap_or_else(PoisonError::into_inner).contains(&participant)
+        lock(&self.reached).contains(&participant)
     }
 
     pub(super) fn send_with(

@@ -1,6 +1,6 @@
 //! Who may ask: the bearers of tokens, known by a header or by the session of their browser.
 
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::{Arc, RwLock};
 use std::time::{Duration, Instant};
 
 use axum::http::header::{AUTHORIZATION, COOKIE, LOCATION, SET_COOKIE};
@@ -11,6 +11,7 @@ use tokio::sync::{Semaphore, watch};
 use crate::http::browser_sessions::BrowserSessions;
 use crate::http::problem::Problem;
 use crate::http::tokens::{AccessTokens, TokenRole};
+use crate::locks::{read, write};
 
 /// Wrong tokens that wait for their answer at once; more are refused without being compared.
 const GUESSES: usize = 8;
@@ -48,7 +49,7 @@ impl Access {
 
     /// From now on these tokens are good, and no others: sessions of browsers end with their token.
     pub fn replace(&self, tokens: Option<AccessTokens>) {
-        *self.tokens.write().unwrap_or_else(PoisonError::into_inner) = tokens.map(Arc::new);
+        *write(&self.tokens) = tokens.map(Arc::new);
         self.replaced.send_replace(());
     }
 
@@ -68,7 +69,7 @@ impl Access {
     }
 
     pub(super) fn tokens(&self) -> Option<Arc<AccessTokens>> {
-        self.tokens.read().unwrap_or_else(PoisonError::into_inner).clone()
+        read(&self.tokens).clone()
     }
 
     /// What the request says of who asks.

@@ -1,9 +1,10 @@
 //! What a browser carries in place of a token: the number of its session, in a cookie.
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
 use crate::http::tokens::TokenHash;
+use crate::locks::lock;
 
 /// Sessions that are open at once: one for each browser that opened the page; the oldest makes
 /// room.
@@ -46,7 +47,7 @@ impl BrowserSessions {
     }
 
     fn lock(&self) -> MutexGuard<'_, Vec<BrowserSession>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.0)
     }
 }
 

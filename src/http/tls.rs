@@ -2,12 +2,14 @@
 
 use std::fmt;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::{Arc, RwLock};
 
 use tokio_rustls::TlsAcceptor;
 use tokio_rustls::rustls;
 use tokio_rustls::rustls::pki_types::pem::{self, PemObject};
 use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
+
+use crate::locks::{read, write};
 
 /// The first byte of a TLS connection: a record of the handshake (RFC 8446, 5.1).
 pub(super) const HANDSHAKE: u8 = 0x16;
@@ -84,10 +86,10 @@ impl Tls {
 
     /// Secures new connections with `certificate`.
     pub fn replace(&self, certificate: Certificate) {
-        *self.0.write().unwrap_or_else(PoisonError::into_inner) = certificate;
+        *write(&self.0) = certificate;
     }
 
     pub(super) fn acceptor(&self) -> TlsAcceptor {
-        TlsAcceptor::from(Arc::clone(&self.0.read().unwrap_or_else(PoisonError::into_inner).0))
+        TlsAcceptor::from(Arc::clone(&read(&self.0).0))
     }
 }

@@ -9,14 +9,14 @@
 //! so that their results are reproducible.
 
 use std::collections::VecDeque;
-use std::sync::{Arc, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::sync::mpsc;
 
 #[cfg(test)]
 use super::sync::testing;
-use super::sync::{Condvar, Mutex, MutexGuard};
+use super::sync::{Condvar, Mutex, MutexGuard, lock, unpoisoned};
 use crate::calibration::admission::AdmissionOptions;
 use crate::calibration::session::CameraFrame;
 use crate::calibration::session::gate::{Gate, KeptSoFar};
@@ -209,13 +209,13 @@ impl Assembly {
         place: usize,
     ) -> MutexGuard<'a, Queues> {
         while queues.held && !queues.closed {
-            queues = self.changed.wait(queues).unwrap_or_else(PoisonError::into_inner);
+            queues = unpoisoned(self.changed.wait(queues));
         }
         let full = |queues: &mut Queues| {
             queues.open_queue(place).is_some_and(|queue| queue.frames.len() >= LIMIT)
         };
         let waited = self.changed.wait_timeout_while(queues, PATIENCE, full);
-        waited.unwrap_or_else(PoisonError::into_inner).0
+        unpoisoned(waited).0
     }
 
     /// Finishes what is complete, in order.
@@ -342,10 +342,6 @@ impl CameraQueue {
     fn is_waited_for(&self) -> bool {
         self.frames.is_empty() && self.goes_on()
     }
-}
-
-fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
-    shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]

@@ -8,12 +8,13 @@
 //! A replay that waits for its frames to be searched begins anew with each session, so that every
 //! session sees all of it; while none collects it is shown at its recorded pace, round and round.
 
-use std::sync::{Arc, PoisonError};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::capture::{CaptureError, FrameSource, Losses, SourceDescription, SourceOpener};
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::{Frame, FrameSet};
+use crate::locks::lock;
 use crate::pipeline::camera_status::{CameraIdentity, CameraState, SensorStatus};
 use crate::pipeline::captured::{Captured, CapturedFrame};
 use crate::pipeline::closing::Closing;
@@ -153,7 +154,7 @@ impl Capture {
     fn introduce(&self, description: &SourceDescription) {
         let SourceDescription { model, serial, bus, identity, mode, factory, .. } =
             description.clone();
-        *self.camera.factory.lock().unwrap_or_else(PoisonError::into_inner) = factory.clone();
+        *lock(&self.camera.factory) = factory.clone();
         if let Some(mode) = mode {
             tracing::info!(camera = self.camera.name, "{mode}");
         }

@@ -1,6 +1,6 @@
 //! Begins and ends a session: acquires its cameras, and assembles their frames.
 
-use std::sync::{Arc, PoisonError};
+use std::sync::Arc;
 
 use ulid::Ulid;
 
@@ -14,6 +14,7 @@ use crate::imaging::depth_encoding::DepthEncoding;
 use crate::imaging::depth_image::DepthImage;
 use crate::imaging::frame::SensorKind;
 use crate::imaging::image_file::frame_from_file;
+use crate::locks::lock;
 use crate::pipeline::assembly::{Assembly, AssemblyPlan};
 use crate::pipeline::auxiliary::AuxiliaryViews;
 use crate::pipeline::clock::utc_now_ns;
@@ -110,8 +111,7 @@ impl SessionThread {
                 && view.frame.image_size == size
                 && view.detection.is_some()
         };
-        let factory = self.instrument.cameras.get(place.camera)?.factory.lock();
-        let factory = factory.unwrap_or_else(PoisonError::into_inner);
+        let factory = lock(&self.instrument.cameras.get(place.camera)?.factory);
         Some(DepthFrame {
             image: Arc::new(DepthImage::from_frame(&frame).ok()?),
             encoding: depth.depth_encoding.unwrap_or(DepthEncoding::ORDINARY),

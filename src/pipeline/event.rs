@@ -2,7 +2,7 @@
 //! still remembered.
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use tokio::sync::watch;
 
@@ -12,6 +12,7 @@ use crate::calibration::result::{Calibration, Grade, ProjectionUncertainty};
 use crate::calibration::session_record::SessionRecord;
 use crate::detection::board_detection::GridIndex;
 use crate::geometry::pixel::Pixel;
+use crate::locks::lock;
 use crate::pipeline::camera_status::CameraStatus;
 use crate::pipeline::seen::SeenFrame;
 
@@ -247,7 +248,7 @@ impl EventLog {
     }
 
     fn lock(&self) -> MutexGuard<'_, Rings> {
-        self.rings.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.rings)
     }
 }
 

@@ -2,7 +2,7 @@
 //! to. What concerns sessions is in `fleet_sessions`, what exchanges cameras in `fleet_exchange`.
 
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, PoisonError, RwLock, RwLockReadGuard};
+use std::sync::{Arc, Mutex, RwLock, RwLockReadGuard};
 
 use tokio::sync::watch;
 
@@ -10,6 +10,7 @@ use crate::calibration::session_record::SessionRecord;
 use crate::imaging::decode;
 use crate::imaging::frame::SensorKind;
 use crate::imaging::gray::GrayImage;
+use crate::locks::{read, write};
 use crate::pipeline::camera_status::{CameraState, CameraStatus};
 use crate::pipeline::clock::utc_now_ns;
 use crate::pipeline::event::{EventLog, EventStream};
@@ -94,9 +95,8 @@ impl Fleet {
     /// Ends every thread; sessions stay as they are and go on with the next start. Blocks for less
     /// than a second: a thread that a driver does not let go is left behind.
     pub fn shutdown(&self) {
-        let rigs = std::mem::take(&mut *self.rigs.write().unwrap_or_else(PoisonError::into_inner));
-        let cameras =
-            std::mem::take(&mut *self.cameras.write().unwrap_or_else(PoisonError::into_inner));
+        let rigs = std::mem::take(&mut *write(&self.rigs));
+        let cameras = std::mem::take(&mut *write(&self.cameras));
         stop(&rigs, &cameras);
     }
 
@@ -355,11 +355,11 @@ impl Fleet {
     }
 
     fn running(&self) -> RwLockReadGuard<'_, Vec<RunningCamera>> {
-        self.cameras.read().unwrap_or_else(PoisonError::into_inner)
+        read(&self.cameras)
     }
 
     fn running_rigs(&self) -> RwLockReadGuard<'_, Vec<RunningInstrument>> {
-        self.rigs.read().unwrap_or_else(PoisonError::into_inner)
+        read(&self.rigs)
     }
 }
 

@@ -1,8 +1,9 @@
 //! Cameras and rigs that come and go while the others of the fleet do not notice.
 
-use std::sync::{MutexGuard, PoisonError};
+use std::sync::MutexGuard;
 
 use crate::calibration::session_record::SessionRecord;
+use crate::locks::{lock, write};
 use crate::pipeline::fleet::Fleet;
 use crate::pipeline::fleet_error::FleetError;
 use crate::pipeline::instrument::RigPlan;
@@ -30,7 +31,7 @@ impl Fleet {
 
     /// Waits until nothing is being exchanged, and has it stay so.
     pub(super) fn exchanging(&self) -> MutexGuard<'_, ()> {
-        self.exchange.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.exchange)
     }
 
     fn replace_cameras(
@@ -38,7 +39,7 @@ impl Fleet {
         stopped: &[String],
         plans: Vec<CameraPlan>,
     ) -> Result<(), FleetError> {
-        let cameras = || self.cameras.write().unwrap_or_else(PoisonError::into_inner);
+        let cameras = || write(&self.cameras);
         let leaving: Vec<RunningCamera> =
             cameras().extract_if(.., |running| stopped.contains(&running.camera.name)).collect();
         stop_cameras(leaving);
@@ -63,13 +64,13 @@ impl Fleet {
             };
             let cameras = cameras.iter().map(link).collect::<Result<_, _>>()?;
             let rig = start_rig(name, cameras, left, &self.shared, &self.options)?;
-            self.rigs.write().unwrap_or_else(PoisonError::into_inner).push(rig);
+            write(&self.rigs).push(rig);
         }
         Ok(())
     }
 
     fn stop_rigs(&self, stopped: &[String]) {
-        let mut rigs = self.rigs.write().unwrap_or_else(PoisonError::into_inner);
+        let mut rigs = write(&self.rigs);
         let leaving =
             rigs.extract_if(.., |running| stopped.contains(&running.instrument.name)).collect();
         drop(rigs);
@@ -79,14 +80,8 @@ impl Fleet {
     /// Puts cameras and rigs in the order of these names.
     pub fn arrange(&self, cameras: &[&str], rigs: &[&str]) {
         let place = |names: &[&str], name: &str| names.iter().position(|other| *other == name);
-        self.cameras
-            .write()
-            .unwrap_or_else(PoisonError::into_inner)
-            .sort_by_key(|running| place(cameras, &running.camera.name));
-        self.rigs
-            .write()
-            .unwrap_or_else(PoisonError::into_inner)
-            .sort_by_key(|running| place(rigs, &running.instrument.name));
+        write(&self.cameras).sort_by_key(|running| place(cameras, &running.camera.name));
+        write(&self.rigs).sort_by_key(|running| place(rigs, &running.instrument.name));
     }
 }
 

@@ -2,11 +2,9 @@
 //! detector has not taken is replaced, so that it never searches an old one. A replay that must not
 //! skip waits for the place instead.
 
-use std::sync::PoisonError;
-
 #[cfg(test)]
 use super::sync::testing;
-use super::sync::{Condvar, Mutex, MutexGuard};
+use super::sync::{Condvar, Mutex, MutexGuard, lock, unpoisoned};
 
 /// Holds one item at most.
 #[derive(Debug)]
@@ -45,7 +43,7 @@ impl<T> FrameSlot<T> {
     pub(super) fn put_waiting(&self, item: T) -> Result<(), Closed> {
         let mut state = self.lock();
         while state.item.is_some() && !state.closed {
-            state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+            state = unpoisoned(self.changed.wait(state));
         }
         if state.closed {
             return Err(Closed);
@@ -59,7 +57,7 @@ impl<T> FrameSlot<T> {
     pub(super) fn take(&self) -> Option<T> {
         let mut state = self.lock();
         while state.item.is_none() && !state.closed {
-            state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+            state = unpoisoned(self.changed.wait(state));
         }
         let item = state.item.take().filter(|_| !state.closed);
         self.changed.notify_all();
@@ -73,7 +71,7 @@ impl<T> FrameSlot<T> {
     }
 
     fn lock(&self) -> MutexGuard<'_, SlotState<T>> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.state)
     }
 }
 

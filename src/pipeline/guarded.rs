@@ -19,7 +19,9 @@ pub(super) fn guarded<T>(work: impl FnOnce() -> T) -> Result<T, String> {
 /// Faults that a test asks for: guarded work on a thread of this name panics.
 #[cfg(test)]
 pub(super) mod faults {
-    use std::sync::{Mutex, PoisonError};
+    use std::sync::Mutex;
+
+    use crate::locks::lock;
 
     static THREADS: Mutex<Vec<String>> = Mutex::new(Vec::new());
 
@@ -47,7 +49,7 @@ pub(super) mod faults {
     }
 
     fn threads<T>(of: impl FnOnce(&mut Vec<String>) -> T) -> T {
-        of(&mut THREADS.lock().unwrap_or_else(PoisonError::into_inner))
+        of(&mut lock(&THREADS))
     }
 }
 

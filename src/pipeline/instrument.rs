@@ -1,12 +1,13 @@
 //! Cameras that are calibrated together, one or more, as seen from outside, and the link to the
 //! threads that work for them. Each camera is an instrument; a rig is one more.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use tokio::sync::{mpsc, watch};
 
 use crate::calibration::result::Calibration;
 use crate::calibration::session_record::SessionRecord;
+use crate::locks::lock;
 use crate::pipeline::event::{CalibrationEvent, EventKind, EventLog};
 use crate::pipeline::jobs::Jobs;
 use crate::pipeline::live_camera::LiveCamera;
@@ -74,7 +75,7 @@ impl Instrument {
         store: &Store,
         write: impl FnOnce() -> Result<(), StoreError>,
     ) -> Result<(), StoreError> {
-        let _one_at_a_time = self.approving.lock().unwrap_or_else(PoisonError::into_inner);
+        let _one_at_a_time = lock(&self.approving);
         write()?;
         self.set_calibration(&calibration.id, store);
         self.announce_calibration(calibration, true);

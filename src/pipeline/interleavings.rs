@@ -6,6 +6,12 @@
 mod sync {
     pub(super) use shuttle::sync::{Condvar, Mutex, MutexGuard};
 
+    pub(super) use crate::locks::unpoisoned;
+
+    pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+        unpoisoned(mutex.lock())
+    }
+
     pub(in crate::pipeline) mod testing {
         use shuttle::scheduler::{PctScheduler, RandomScheduler};
         pub(in crate::pipeline) use shuttle::thread;

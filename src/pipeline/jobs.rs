@@ -2,11 +2,9 @@
 //! estimate of each camera. A newer job takes the place of an older one, which nobody waits for any
 //! more, so that there are never more than that.
 
-use std::sync::PoisonError;
-
 #[cfg(test)]
 use super::sync::testing;
-use super::sync::{Condvar, Mutex, MutexGuard};
+use super::sync::{Condvar, Mutex, MutexGuard, lock, unpoisoned};
 use crate::estimation::interrupt::Interrupt;
 use crate::pipeline::solve_job::{EstimateJob, SolveJob};
 
@@ -70,7 +68,7 @@ impl Jobs {
             if let Some(job) = state.estimates.iter_mut().find_map(Option::take) {
                 return Some(Job::Estimate(job));
             }
-            state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+            state = unpoisoned(self.changed.wait(state));
         }
     }
 
@@ -90,7 +88,7 @@ impl Jobs {
     }
 
     fn lock(&self) -> MutexGuard<'_, WaitingJobs> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.state)
     }
 }
 

@@ -1,6 +1,6 @@
 //! What a camera's threads share: its state as seen from outside, and the links between them.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use tokio::sync::{mpsc, watch};
 
@@ -10,6 +10,7 @@ use crate::calibration::provenance::Provenance;
 use crate::calibration::scene::correspondence::SceneImage;
 use crate::geometry::pose::Pose;
 use crate::imaging::depth_encoding::DepthEncoding;
+use crate::locks::lock;
 use crate::pipeline::assembly::SharedFactory;
 use crate::pipeline::camera_status::{CameraState, CameraStatus};
 use crate::pipeline::captured::Captured;
@@ -119,7 +120,7 @@ impl LiveCamera {
     /// What is known of the images that come now; held while it is compared and the reason is set,
     /// so that the last comparison is the one that is shown.
     pub(super) fn images(&self) -> MutexGuard<'_, ImagesNow> {
-        self.images.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.images)
     }
 
     /// The reason that these images give, and what of it was not reported yet, each for its camera
@@ -130,8 +131,8 @@ impl LiveCamera {
             device: self.status.borrow().identity.device(),
             image_sizes: images.sizes.clone(),
         };
-        let mut own = self.calibrated.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut rigs = self.rigs.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut own = lock(&self.calibrated);
+        let mut rigs = lock(&self.rigs);
         let of_rigs = rigs.iter_mut().filter_map(|rig| rig.current.as_mut());
         let (mut reason, mut drifts) = (images.moved.clone(), Vec::new());
         for current in own.iter_mut().chain(of_rigs) {
@@ -155,7 +156,7 @@ impl LiveCamera {
     /// Shows the calibration that holds from now on.
     pub(super) fn set_calibration(&self, id: &str, store: &Store) {
         let current = CurrentCalibration::read(store, id, &self.name, &self.name);
-        *self.calibrated.lock().unwrap_or_else(PoisonError::into_inner) = current;
+        *lock(&self.calibrated) = current;
         self.status.send_modify(|status| status.calibration = Some(id.to_owned()));
         self.compare_calibrations();
     }
@@ -179,43 +180,43 @@ impl LiveCamera {
 
     /// What drawings depend on besides the frame.
     pub(super) fn preview_state(&self) -> PreviewState {
-        let guidance = self.guidance.lock().unwrap_or_else(PoisonError::into_inner);
+        let guidance = lock(&self.guidance);
         let outline_px = guidance.outline_px.clone();
         drop(guidance);
         let calibration = self.status.borrow().calibration.clone();
-        let rigs = self.rigs.lock().unwrap_or_else(PoisonError::into_inner);
+        let rigs = lock(&self.rigs);
         let rig_calibration = rigs.last().map(|rig| rig.id.clone());
-        let key_frame = self.key_frame.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let key_frame = lock(&self.key_frame).clone();
         let camera = self.name.clone();
         PreviewState { camera, calibration, rig_calibration, outline_px, key_frame }
     }
 
     /// What the device states that the readings of its depth images mean.
     pub(super) fn depth_encoding(&self) -> Option<DepthEncoding> {
-        self.factory.lock().unwrap_or_else(PoisonError::into_inner).depth_encoding
+        lock(&self.factory).depth_encoding
     }
 
     /// Shows from now on what each image shares with `key_frame`.
     pub(super) fn show_shared_with(&self, key_frame: Option<SceneImage>) {
-        *self.key_frame.lock().unwrap_or_else(PoisonError::into_inner) = key_frame;
+        *lock(&self.key_frame) = key_frame;
     }
 
     /// Shows from now on where the board should be held.
     pub(super) fn suggest(&self, guidance: &Guidance) {
-        let mut shown = self.guidance.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut shown = lock(&self.guidance);
         guidance.clone_into(&mut shown);
     }
 
     /// The pose of the board that the running session suggests, as camera_from_board.
     pub(super) fn suggested_pose(&self) -> Option<Pose> {
-        self.guidance.lock().unwrap_or_else(PoisonError::into_inner).camera_from_board
+        lock(&self.guidance).camera_from_board
     }
 
     /// From now on, the rig's calibration is the one `id`.
     pub(super) fn set_rig_calibration(&self, rig: &str, id: &str, store: &Store) {
         let current = CurrentCalibration::read(store, id, rig, &self.name);
         let calibration = RigCalibration { rig: rig.to_owned(), id: id.to_owned(), current };
-        let mut rigs = self.rigs.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut rigs = lock(&self.rigs);
         rigs.retain(|known| known.rig != rig);
         rigs.push(calibration);
         drop(rigs);
@@ -224,14 +225,14 @@ impl LiveCamera {
 
     /// Why the rig's calibration may not hold for the images that come now.
     pub(super) fn said_of_rig(&self, rig: &str) -> Option<String> {
-        let rigs = self.rigs.lock().unwrap_or_else(PoisonError::into_inner);
+        let rigs = lock(&self.rigs);
         let current = rigs.iter().find(|known| known.rig == rig)?.current.as_ref()?;
         current.said().map(str::to_owned)
     }
 
     /// It is in the rig no more.
     pub(super) fn forget_rig(&self, rig: &str) {
-        let mut rigs = self.rigs.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut rigs = lock(&self.rigs);
         rigs.retain(|known| known.rig != rig);
         drop(rigs);
         self.compare_calibrations();

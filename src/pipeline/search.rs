@@ -1,7 +1,8 @@
 //! What a camera's frames are searched for at the moment, and which session has the camera.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
+use crate::locks::lock;
 use crate::pipeline::assembly::Assembly;
 
 /// One session's search on one camera: what is found is put into the assembly.
@@ -71,6 +72,6 @@ impl CurrentSearch {
     }
 
     fn lock(&self) -> MutexGuard<'_, SearchState> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.state)
     }
 }

@@ -5,7 +5,7 @@
 //! anything of it is announced; while it cannot be stored the session is paused (`pausing`).
 
 use std::collections::VecDeque;
-use std::sync::{Arc, PoisonError};
+use std::sync::Arc;
 
 use tokio::sync::mpsc;
 
@@ -16,6 +16,7 @@ use crate::calibration::session::{Action, Observed, Session};
 use crate::calibration::session_record::{SessionRecord, SessionState};
 use crate::imaging::factory::FactorySensor;
 use crate::imaging::frame::SensorKind;
+use crate::locks::lock;
 use crate::pipeline::assembly::Assembly;
 use crate::pipeline::auxiliary::AuxiliaryViews;
 use crate::pipeline::clock::utc_now_ns;
@@ -331,7 +332,7 @@ impl SessionThread {
 
 /// What a camera's device states of its depth sensor.
 fn stated_depth(camera: &LiveCamera) -> Option<FactorySensor> {
-    let factory = camera.factory.lock().unwrap_or_else(PoisonError::into_inner);
+    let factory = lock(&camera.factory);
     factory.sensor(SensorKind::Depth).cloned()
 }
 

@@ -1,11 +1,11 @@
 //! How threads are asked to end, also those that are waiting.
 
-use std::sync::{Arc, PoisonError};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 #[cfg(test)]
 use super::sync::testing;
-use super::sync::{Condvar, Mutex, MutexGuard};
+use super::sync::{Condvar, Mutex, MutexGuard, lock, unpoisoned};
 
 /// Set once; every clone sees it.
 #[derive(Debug, Clone, Default)]
@@ -32,13 +32,13 @@ impl StopSignal {
             if left.is_zero() {
                 break;
             }
-            set = self.shared.1.wait_timeout(set, left).unwrap_or_else(PoisonError::into_inner).0;
+            set = unpoisoned(self.shared.1.wait_timeout(set, left)).0;
         }
         *set
     }
 
     fn lock(&self) -> MutexGuard<'_, bool> {
-        self.shared.0.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.shared.0)
     }
 }
 

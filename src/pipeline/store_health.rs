@@ -1,8 +1,9 @@
 //! Which sessions are paused because the store does not take what they keep.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
+use crate::locks::lock;
 use crate::pipeline::metrics::Metrics;
 
 /// By instrument, why its session is paused.
@@ -40,6 +41,6 @@ impl StoreHealth {
     }
 
     fn lock(&self) -> MutexGuard<'_, BTreeMap<String, String>> {
-        self.paused.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.paused)
     }
 }

@@ -4,6 +4,8 @@
 
 pub(super) use std::sync::{Condvar, Mutex, MutexGuard};
 
+pub(super) use crate::locks::{lock, unpoisoned};
+
 /// How the tests of the hand-overs run: here as any other.
 #[cfg(test)]
 pub(in crate::pipeline) mod testing {

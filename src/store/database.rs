@@ -3,10 +3,11 @@
 use std::collections::BTreeMap;
 use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard};
 
 use rusqlite::{Connection, ErrorCode, Row, ToSql};
 
+use crate::locks::lock;
 use crate::store::error::StoreError;
 use crate::store::salvage::{self, RepairReport};
 use crate::store::upgrades;
@@ -47,7 +48,7 @@ impl Store {
     pub fn open_with(folder: &Path, least_free_bytes: u64) -> Result<Self, StoreError> {
         let unusable = |detail: String| StoreError::Folder { path: folder.to_owned(), detail };
         std::fs::create_dir_all(folder).map_err(|e| unusable(e.to_string()))?;
-        let lock = lock(folder)?;
+        let lock = lock_folder(folder)?;
         let path = folder.join(FILE_NAME);
         let mut connection = Connection::open(&path).map_err(|e| unusable(e.to_string()))?;
         prepare(&connection).map_err(|e| opening(&path, &e))?;
@@ -74,7 +75,7 @@ impl Store {
         match Self::open_with(folder, least_free_bytes) {
             Err(StoreError::Damaged { path, detail }) => {
                 let repaired = {
-                    let _lock = lock(folder)?;
+                    let _lock = lock_folder(folder)?;
                     salvage::repair(&path, &detail)?
                 };
                 Ok((Self::open_with(folder, least_free_bytes)?, Some(repaired)))
@@ -96,13 +97,13 @@ impl Store {
 
     /// What was found unreadable since the store was opened: a line for each row, with the reason.
     pub fn unreadable(&self) -> Vec<String> {
-        let unreadable = self.unreadable.lock().unwrap_or_else(PoisonError::into_inner);
+        let unreadable = lock(&self.unreadable);
         unreadable.iter().map(|(row, detail)| format!("{row}: {detail}")).collect()
     }
 
     /// The rows that could be read; the others are remembered for [`Store::unreadable`].
     pub(super) fn readable<T>(&self, rows: impl Iterator<Item = Result<T, StoreError>>) -> Vec<T> {
-        let mut unreadable = self.unreadable.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut unreadable = lock(&self.unreadable);
         let mut kept = Vec::new();
         for row in rows {
             match row {
@@ -179,7 +180,7 @@ impl Store {
     }
 
     pub(super) fn connection(&self) -> MutexGuard<'_, Connection> {
-        self.connection.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.connection)
     }
 
     pub(super) fn failed(&self, error: &rusqlite::Error) -> StoreError {
@@ -206,7 +207,7 @@ fn free_bytes(_: &Path) -> Option<u64> {
 
 /// Takes the store in `folder` for this process, as long as the file that is returned lives. Others
 /// may still read the database, which a backup of a running store needs.
-fn lock(folder: &Path) -> Result<File, StoreError> {
+fn lock_folder(folder: &Path) -> Result<File, StoreError> {
     let path = folder.join(LOCK_NAME);
     let unusable = |e: std::io::Error| StoreError::Folder {
         path: folder.to_owned(),

@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 
 /// Each layer and the layers it may use, bottom to top.
 const LAYERS: &[(&str, &[&str])] = &[
+    ("locks", &[]),
     ("geometry", &[]),
-    ("dds", &[]),
+    ("dds", &["locks"]),
     ("imaging", &["geometry"]),
     ("detection", &["geometry", "imaging"]),
     ("features", &["geometry", "imaging"]),
@@ -14,13 +15,14 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("calibration", &["geometry", "imaging", "estimation", "detection", "features"]),
     ("simulation", &["geometry", "imaging"]),
     ("recording", &["geometry", "imaging"]),
-    ("capture", &["dds", "geometry", "imaging", "recording", "simulation"]),
+    ("capture", &["locks", "dds", "geometry", "imaging", "recording", "simulation"]),
     ("document", &["geometry", "imaging", "detection", "estimation", "calibration"]),
     ("export", &["geometry", "imaging", "calibration", "document"]),
-    ("store", &["geometry", "imaging", "detection", "calibration", "document"]),
+    ("store", &["locks", "geometry", "imaging", "detection", "calibration", "document"]),
     (
         "pipeline",
         &[
+            "locks",
             "geometry",
             "imaging",
             "detection",
@@ -37,6 +39,7 @@ const LAYERS: &[(&str, &[&str])] = &[
     (
         "http",
         &[
+            "locks",
             "geometry",
             "imaging",
             "detection",

@@ -4,7 +4,7 @@ use std::collections::HashSet;
 use std::ffi::CString;
 use std::path::Path;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use realsense_rust::config::Config;
 use realsense_rust::context::Context;
@@ -22,6 +22,7 @@ use crate::capture::realsense::source::{OpenedPipeline, RealsenseSource};
 use crate::capture::realsense::stated::stated;
 use crate::capture::{CaptureError, FrameSource, SourceOpener};
 use crate::imaging::frame::SensorKind;
+use crate::locks::lock;
 
 /// Frames a second where none are asked for.
 const DEFAULT_FPS: usize = 30;
@@ -68,8 +69,7 @@ impl RealsenseCamera {
                 Arc::new(Mutex::new(new))
             }
         };
-        let (pipeline, name) =
-            self.started(&shared.lock().unwrap_or_else(PoisonError::into_inner))?;
+        let (pipeline, name) = self.started(&lock(&shared))?;
         self.barren.fetch_add(1, Ordering::Relaxed);
         let is_bag = matches!(self.options.origin, Origin::Bag(_));
         if !is_bag {

@@ -4,7 +4,7 @@
 use std::convert::Infallible;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::Duration;
 
@@ -29,6 +29,7 @@ use crate::capture::{CaptureError, FrameSource, Losses, SourceDescription, Sourc
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::{Frame, FrameSet, PixelFormat, SensorKind};
 use crate::imaging::jpeg_length;
+use crate::locks::lock;
 
 /// How long a camera may take to open.
 const OPENING: Duration = Duration::from_secs(10);
@@ -104,7 +105,7 @@ struct Wait(Arc<Mutex<Receiver<Infallible>>>);
 impl Wait {
     /// Whether it ends in time.
     fn ends(&self) -> bool {
-        let ended = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let ended = lock(&self.0);
         ended.recv_timeout(ENDING) != Err(RecvTimeoutError::Timeout)
     }
 }

@@ -7,12 +7,13 @@ pub(super) mod maps;
 mod newest;
 mod registered;
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex, Weak};
 
 use tokio::sync::watch;
 
 use crate::calibration::scene::correspondence::SceneImage;
 use crate::geometry::pixel::Pixel;
+use crate::locks::lock;
 use crate::pipeline::frame_slot::FrameSlot;
 use crate::pipeline::live_frame::LiveFrame;
 use crate::pipeline::preview::drawing::{Drawing, DrawnScene, EncodedFrame, encoded};
@@ -181,10 +182,6 @@ impl WatchedDrawing {
 
 fn is_of(frame: &Weak<LiveFrame>, live: &Arc<LiveFrame>) -> bool {
     std::ptr::eq(frame.as_ptr(), Arc::as_ptr(live))
-}
-
-fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
-    shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]

@@ -1,6 +1,8 @@
 //! A few costly values, kept for whoever needs them next.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
+
+use crate::locks::lock;
 
 /// How many are kept; each takes some bytes for every pixel of its image.
 const KEPT: usize = 4;
@@ -30,7 +32,7 @@ impl<K: PartialEq, V> NewestValues<K, V> {
         }
         let (key, value) = make()?;
         let value = Arc::new(value);
-        let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut kept = lock(&self.0);
         kept.retain(|(known, _)| *known != key);
         if kept.len() == KEPT {
             kept.remove(0);
@@ -40,7 +42,7 @@ impl<K: PartialEq, V> NewestValues<K, V> {
     }
 
     fn get(&self, key: &K) -> Option<Arc<V>> {
-        let kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let kept = lock(&self.0);
         kept.iter().find(|(known, _)| known == key).map(|(_, value)| Arc::clone(value))
     }
 }
