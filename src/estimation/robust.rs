@@ -40,8 +40,10 @@ pub(crate) struct LossAt {
 /// √(2 ln 2): the median of a two-dimensional Gaussian's length, in standard deviations per axis.
 const RAYLEIGH_MEDIAN: f64 = 1.177_410_022_515_474_7;
 
-/// The standard deviation per axis of two-dimensional residuals, from the median of their lengths:
-/// right with up to half of them wrong. 0 for none.
+/// The standard deviation per axis of two-dimensional residuals, from the median of their lengths.
+/// Bounded while fewer than half of them are wrong: with a part p far off, the median of all is the
+/// 0.5 / (1 − p) quantile of the others, which is 8 % too large with a tenth wrong and 41 % with a
+/// third. 0 for none.
 pub(crate) fn median_scale(residuals: impl Iterator<Item = [f64; 2]>) -> f64 {
     let squares = residuals.map(|[x, y]| x * x + y * y).collect();
     median(squares).unwrap_or(0.0).sqrt() / RAYLEIGH_MEDIAN
@@ -68,7 +70,7 @@ mod tests {
     }
 
     #[test]
-    fn scale_withstands_a_third_of_nonsense() {
+    fn a_tenth_of_nonsense_moves_the_scale_by_a_tenth_at_most() {
         let clean = (0..1000).map(|k| {
             let (angle, u) = (f64::from(k) * 2.399_963, (f64::from(k) + 0.5) / 1000.0);
             let r = 0.2 * (-2.0 * f64::ln(u)).sqrt();
@@ -76,7 +78,7 @@ mod tests {
         });
         assert!((median_scale(clean.clone()) - 0.2).abs() < 0.002);
         let spoiled = clean.enumerate().map(|(k, r)| if k % 10 < 1 { [20.0, 5.0] } else { r });
-        assert!((median_scale(spoiled) - 0.2).abs() < 0.03);
+        assert!((median_scale(spoiled) - 0.2).abs() < 0.02);
         assert_eq!(median_scale(std::iter::empty()), 0.0);
     }
 }
