@@ -214,8 +214,8 @@ impl<'a> FittedPart<'a> {
         let (by_free, free) = (at.lens.all_by_free(lens), at.lens.free.len());
         let of_lens = self.unit.view((at.lens_at, at.lens_at), (free, free));
         [0, 1].into_iter().find_map(|axis| {
-            // Exact corners must not make a lens known that a hundredth of a pixel would leave
-            // open.
+            // Corners that fit exactly must not determine a lens that noise of 0.01 σ per corner
+            // would leave open.
             let of_unit_noise = by_free.row(axis) * of_lens * by_free.row(axis).transpose();
             let std = (of_unit_noise[(0, 0)] * self.of_lens.factor).sqrt()
                 * self.noise_square.sqrt().max(LEAST_NOISE / self.part.noise);
