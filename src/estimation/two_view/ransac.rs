@@ -229,8 +229,7 @@ fn draw(random: &mut ChaCha8Rng, count: usize, size: usize) -> Vec<usize> {
 mod tests {
     use super::*;
 
-    /// With 99.9 %: HZ table 4.3 has 17, 76 and 588 for 99 %; a first model without inliers is no
-    /// reason to stop.
+    /// With 99 %: the numbers of HZ table 4.3. A first model without inliers is no reason to stop.
     #[test]
     fn samples_are_drawn_until_a_better_model_is_hardly_missed() {
         let options = RansacOptions { miss_probability: 0.01, ..RansacOptions::default() };
