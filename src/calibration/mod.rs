@@ -13,6 +13,7 @@ pub mod factory_check;
 pub mod guidance;
 pub mod information;
 pub mod instrument;
+mod known_image;
 mod list_shift;
 pub mod observations;
 pub mod placement;

@@ -4,8 +4,10 @@
 
 use std::sync::Arc;
 
+use crate::calibration::result::Grade;
 use crate::calibration::session_record::{RunningEstimate, SHOWN_COLUMNS};
 use crate::calibration::solve::{uncertainty_map, uncertainty_over};
+use crate::calibration::verdict::SPLIT_HALF;
 use crate::estimation::camera::{CameraEstimate, CameraOptions, CameraStart, calibrate_and_check};
 use crate::estimation::error::EstimationError;
 use crate::estimation::model_check::ModelCheck;
@@ -24,10 +26,6 @@ const RESIDUALS: f64 = 1.25;
 /// moves them by less than one.
 const MOVED: f64 = 4.0;
 
-/// Halves of the views may differ by this many times what their uncertainties predict: the limit of
-/// a good verdict. About 1 where the model is right, above 2 once in a hundred sets.
-const GREATEST_RATIO: f64 = 2.5;
-
 /// An estimate of the views so far.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EstimateSoFar {
@@ -35,8 +33,8 @@ pub struct EstimateSoFar {
     pub running: RunningEstimate,
     /// What the next one goes on from; `None` if that is to be made anew.
     pub going_on: Option<GoingOn>,
-    /// Whether halves of the views agree as well as their uncertainties predict; with too few views
-    /// for halves nothing speaks against it.
+    /// Whether halves of the views agree as well as a good verdict asks; with too few views for
+    /// halves nothing speaks against it.
     pub model_holds: bool,
 }
 
@@ -119,7 +117,9 @@ impl EstimateSoFar {
                 chosen_from_views: made.chosen_from_views,
                 anew: made.anew,
             }),
-            model_holds: check.split_half_ratio.is_none_or(|ratio| ratio <= GREATEST_RATIO),
+            model_holds: check
+                .split_half_ratio
+                .is_none_or(|ratio| Grade::of_figure(ratio, SPLIT_HALF) == Grade::Good),
         }
     }
 }

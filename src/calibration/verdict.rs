@@ -1,6 +1,7 @@
 //! How far to trust a calibration, in words that a person can act on.
 
 use crate::calibration::coverage::Coverage;
+use crate::calibration::known_image::KnownImage;
 use crate::calibration::result::{Finding, Grade, Verdict};
 use crate::calibration::rounded::value_with_std;
 use crate::estimation::camera::CameraEstimate;
@@ -10,13 +11,8 @@ use crate::estimation::lens_pole::has_pole;
 use crate::estimation::model_check::ModelCheck;
 use crate::estimation::uncertainty::UncertaintyMap;
 
-/// What a good calibration knows, and what a usable one does: this part of the image …
-const KNOWN_PART: [f64; 2] = [0.95, 0.67];
-/// … to within this part of the image's diagonal (1 sigma): 0.4 and 1 px at 640x480, which with a
-/// lens 60 degrees wide are 0.7 and 1.8 mm at a meter.
-const KNOWN_TO: [f64; 2] = [0.0005, 0.00125];
-/// The split-half ratio likewise: about 1 where the model is right, and above 2 once in a hundred
-/// such sets.
+/// The split-half ratio of a good calibration and of a usable one: about 1 where the model is
+/// right, and above 2 once in a hundred such sets.
 pub(super) const SPLIT_HALF: [f64; 2] = [2.5, 6.0];
 /// The correlation of neighboring corners' residuals; blur and pixels alone make some.
 const CORRELATION: [f64; 2] = [0.5, 0.8];
@@ -85,25 +81,16 @@ fn uncertainty(map: Option<&UncertaintyMap>, factor: f64) -> Option<Finding> {
         let reason = "no uncertainty is known for projections anywhere in the image".to_owned();
         return Some(Finding { grade: Grade::Poor, reason });
     };
-    let limits_px = KNOWN_TO.map(|part| part * map.grid.size.diagonal_px());
-    let seen: Vec<f64> = map.std_px.iter().flatten().copied().collect();
-    let part = |limit_px: f64| {
-        seen.iter().filter(|std_px| **std_px <= limit_px).count() as f64 / seen.len() as f64
-    };
-    let graded = |[good_px, usable_px]: [f64; 2]| match KNOWN_PART {
-        [good, _] if part(good_px) >= good => Grade::Good,
-        [_, usable] if part(usable_px) >= usable => Grade::Usable,
-        _ => Grade::Poor,
-    };
-    let (grade, [good_px, _]) = (graded(limits_px), limits_px);
+    let known = KnownImage::of(map);
+    let (grade, good_px) = (known.grade(), known.good_px());
     let unknown = |col: usize, row: usize| {
         let std_px = map.std_px[row * map.grid.cols as usize + col];
         f64::from(u8::from(std_px.is_some_and(|std_px| std_px > good_px)))
     };
     let place =
         region_with_most([map.grid.cols, map.grid.rows].map(|count| count as usize), unknown);
-    let percent = (1.0 - part(good_px)) * 100.0;
-    let remedy = if graded(limits_px.map(|limit_px| limit_px * factor)) > grade {
+    let percent = known.beyond_good_percent();
+    let remedy = if known.grade_widened(factor) > grade {
         "most of it because the model does not fit: mend that first, then add views there"
     } else {
         "add views there, near and far, tilted"

@@ -1,5 +1,6 @@
 //! How far to trust a lens that came from a scene, in words that a person can act on.
 
+use crate::calibration::known_image::KnownImage;
 use crate::calibration::result::{Finding, Grade, Verdict};
 use crate::calibration::scene::conditions::SceneConditions;
 use crate::calibration::scene::fitted_lens::LensFit;
@@ -9,10 +10,6 @@ use crate::imaging::nominal_focal::NominalFocal;
 
 /// A focal length known to this part of itself (1 sigma) is good; to the second, usable.
 const FOCAL_STD: [f64; 2] = [0.002, 0.01];
-/// Projections known to this part of the image's diagonal, as with boards …
-const KNOWN_TO: [f64; 2] = [0.0005, 0.00125];
-/// … in this part of the image.
-const KNOWN_PART: [f64; 2] = [0.95, 0.67];
 /// How many times larger the uncertainty is than if each observation erred by itself: residuals
 /// that keep half of their errors show half as much.
 const SHARED: [f64; 2] = [6.0, 18.0];
@@ -92,25 +89,13 @@ fn projections(evidence: &Evidence<'_>) -> Option<Finding> {
         let reason = "it is not known where in the image projections can be trusted".to_owned();
         return Some(Finding { grade: Grade::Poor, reason });
     };
-    let seen: Vec<f64> = map.std_px.iter().flatten().copied().collect();
-    let limits = KNOWN_TO.map(|part| part * map.grid.size.diagonal_px());
-    let part = |limit: f64| {
-        seen.iter().filter(|std| **std <= limit).count() as f64 / seen.len().max(1) as f64
-    };
-    let grade = if part(limits[0]) >= KNOWN_PART[0] {
-        Grade::Good
-    } else if part(limits[1]) >= KNOWN_PART[1] {
-        Grade::Usable
-    } else {
-        Grade::Poor
-    };
-    let worst = seen.iter().copied().fold(0.0, f64::max);
-    let percent = 100.0 * (1.0 - part(limits[0]));
+    let known = KnownImage::of(map);
+    let worst_px = map.std_px.iter().flatten().copied().fold(0.0, f64::max);
+    let (good_px, percent) = (known.good_px(), known.beyond_good_percent());
     Finding::worse_than_good(
-        grade,
+        known.grade(),
         format!(
-            "projections are uncertain by more than {:.2} px (1 sigma) in {percent:.0} % of the image, by up to {worst:.2} px: add images that show texture there",
-            limits[0]
+            "projections are uncertain by more than {good_px:.2} px (1 sigma) in {percent:.0} % of the image, by up to {worst_px:.2} px: add images that show texture there"
         ),
     )
 }
