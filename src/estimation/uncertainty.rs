@@ -240,14 +240,20 @@ fn padded(covariance: &DMatrix<f64>) -> SMatrix<f64, MAX_PARAMETERS, MAX_PARAMET
     padded
 }
 
+/// The greatest variance in any direction of the plane, from those along its axes and their
+/// covariance: the greater eigenvalue.
+pub(crate) fn greatest_variance([x, y]: [f64; 2], covariance: f64) -> f64 {
+    0.5 * (x + y) + (0.5 * (x - y)).hypot(covariance)
+}
+
 fn map_of(
     grid: PixelGrid,
     covariances: Vec<Option<Matrix2<f64>>>,
     weights: Vec<f64>,
 ) -> UncertaintyMap {
     let worst_direction = |covariance: &Matrix2<f64>| {
-        let half_gap = (0.5 * (covariance[(0, 0)] - covariance[(1, 1)])).hypot(covariance[(0, 1)]);
-        (0.5 * covariance.trace() + half_gap).max(0.0).sqrt()
+        let variances = [covariance[(0, 0)], covariance[(1, 1)]];
+        greatest_variance(variances, covariance[(0, 1)]).max(0.0).sqrt()
     };
     UncertaintyMap {
         grid,

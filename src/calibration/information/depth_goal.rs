@@ -8,9 +8,8 @@ use nalgebra::DMatrix;
 use crate::calibration::information::depth_information::DepthInformation;
 use crate::calibration::information::projection_goal::{GoalFigure, power_mean};
 use crate::estimation::rgbd::plane_information::PlacedDepth;
-use crate::estimation::uncertainty::PixelGrid;
+use crate::estimation::uncertainty::{PixelGrid, greatest_variance};
 use crate::geometry::lens::Lens;
-use crate::geometry::median::median;
 use crate::geometry::pixel::ImageSize;
 
 /// The derivatives of transferred pixels.
@@ -99,7 +98,7 @@ impl DepthGoal {
                 (own, other) = (own + u.norm_squared(), other + v.norm_squared());
                 shared += u.dot(&v);
             }
-            (0.5 * (own + other) + (0.5 * (own - other)).hypot(shared)).sqrt()
+            greatest_variance([own, other], shared).sqrt()
         };
         let stds: Vec<f64> = (0..self.by_depth.ncols() / 2).map(std).collect();
         stds.iter().all(|std| std.is_finite()).then_some(stds)
@@ -111,10 +110,7 @@ impl DepthGoal {
     }
 
     /// What views are compared by, in pixels: a power mean over the distances, or over all pixels
-    /// where the worst of them is to fall, as [`ProjectionGoal::criterion_px`] has it.
-    ///
-    /// [`ProjectionGoal::criterion_px`]:
-    /// crate::calibration::information::projection_goal::ProjectionGoal::criterion_px
+    /// where the worst of them is to fall.
     pub fn criterion_px(&self, std_px: &[f64]) -> f64 {
         match self.figure {
             GoalFigure::Median => power_mean(&self.figures_px(std_px)),
@@ -128,10 +124,7 @@ impl DepthGoal {
         let figure = |count: &usize| {
             let part = &std_px[at..at + count];
             at += count;
-            match self.figure {
-                GoalFigure::Median => median(part.to_vec()).unwrap_or(f64::INFINITY),
-                GoalFigure::Worst => part.iter().copied().fold(0.0, f64::max),
-            }
+            self.figure.of(part)
         };
         self.counts.iter().map(figure).collect()
     }

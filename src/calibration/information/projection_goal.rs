@@ -6,6 +6,7 @@ use crate::estimation::uncertainty::{
     CompensatedSamples, Distance, PixelGrid, ProjectionSamples, UncertaintyMap,
 };
 use crate::geometry::lens::Lens;
+use crate::geometry::median::median;
 use crate::geometry::pixel::ImageSize;
 
 /// Which figure of the uncertainty over the image is to fall.
@@ -16,6 +17,25 @@ pub enum GoalFigure {
     Median,
     /// The worst anywhere in it.
     Worst,
+}
+
+impl GoalFigure {
+    /// This figure of uncertainties over an image.
+    pub(super) fn of(self, std_px: &[f64]) -> f64 {
+        match self {
+            Self::Median => median(std_px.to_vec()).unwrap_or(f64::INFINITY),
+            Self::Worst => std_px.iter().copied().fold(0.0, f64::max),
+        }
+    }
+
+    /// What views are compared by: the median itself; for the worst a power mean over the image,
+    /// which also falls when one of several places falls that are about as bad.
+    pub(super) fn criterion(self, std_px: &[f64]) -> f64 {
+        match self {
+            Self::Median => self.of(std_px),
+            Self::Worst => power_mean(std_px),
+        }
+    }
 }
 
 /// The uncertainty of projections of one lens, prepared for many covariances.
@@ -51,23 +71,12 @@ impl ProjectionGoal {
 
     /// The figure of a map, in pixels.
     pub fn figure_px(&self, map: &UncertaintyMap) -> Option<f64> {
-        let known = map.median_and_worst()?;
-        Some(match self.figure {
-            GoalFigure::Median => known.median_px,
-            GoalFigure::Worst => known.worst_px,
-        })
+        Some(self.figure.of(&seen_std_px(map)?))
     }
 
-    /// What views are compared by, in pixels: the median itself; for the worst a power mean over
-    /// the image, which also falls when one of several places falls that are about as bad.
+    /// What views are compared by, in pixels.
     pub fn criterion_px(&self, map: &UncertaintyMap) -> Option<f64> {
-        match self.figure {
-            GoalFigure::Median => Some(map.median_and_worst()?.median_px),
-            GoalFigure::Worst => {
-                map.median_and_worst()?;
-                Some(power_mean(&map.std_px.iter().flatten().copied().collect::<Vec<_>>()))
-            }
-        }
+        Some(self.figure.criterion(&seen_std_px(map)?))
     }
 
     /// The relative drop of [`Self::criterion_px`], 0 to 1.
@@ -98,6 +107,12 @@ impl ProjectionGoal {
     pub fn near(&self, now: &UncertaintyMap) -> Option<CompensatedSamples> {
         self.samples.compensated_as(now)
     }
+}
+
+/// The uncertainties where the lens sees something; `None` where it sees nothing.
+fn seen_std_px(map: &UncertaintyMap) -> Option<Vec<f64>> {
+    let seen: Vec<f64> = map.std_px.iter().flatten().copied().collect();
+    (!seen.is_empty()).then_some(seen)
 }
 
 /// The power mean of uncertainties that is near the worst of them.

@@ -5,11 +5,10 @@
 use nalgebra::{DMatrix, Matrix2x3, Point3, SMatrix, Vector3};
 
 use crate::calibration::information::pair_information::PairInformation;
-use crate::calibration::information::projection_goal::{GoalFigure, power_mean};
+use crate::calibration::information::projection_goal::GoalFigure;
 use crate::calibration::information::view_information::by_motion;
-use crate::estimation::uncertainty::PixelGrid;
+use crate::estimation::uncertainty::{PixelGrid, greatest_variance};
 use crate::geometry::lens::{Lens, MAX_PARAMETERS};
-use crate::geometry::median::median;
 use crate::geometry::pixel::{ImageSize, Pixel};
 
 /// The derivatives of transferred pixels by both lenses and the relative pose.
@@ -66,8 +65,7 @@ impl TransferGoal {
         factor.l_dirty().solve_lower_triangular_mut(&mut rest).then_some(())?;
         let std = |at: usize| {
             let (u, v) = (rest.column(2 * at), rest.column(2 * at + 1));
-            let (own, other, shared) = (u.norm_squared(), v.norm_squared(), u.dot(&v));
-            (0.5 * (own + other) + (0.5 * (own - other)).hypot(shared)).sqrt()
+            greatest_variance([u.norm_squared(), v.norm_squared()], u.dot(&v)).sqrt()
         };
         let stds: Vec<f64> = (0..rest.ncols() / 2).map(std).collect();
         stds.iter().all(|std| std.is_finite()).then_some(stds)
@@ -75,21 +73,12 @@ impl TransferGoal {
 
     /// The figure of uncertainties, in pixels of b.
     pub fn figure_px(&self, std_px: &[f64]) -> f64 {
-        match self.figure {
-            GoalFigure::Median => median(std_px.to_vec()).unwrap_or(f64::INFINITY),
-            GoalFigure::Worst => std_px.iter().copied().fold(0.0, f64::max),
-        }
+        self.figure.of(std_px)
     }
 
-    /// What views are compared by, as [`ProjectionGoal::criterion_px`] has it.
-    ///
-    /// [`ProjectionGoal::criterion_px`]:
-    /// crate::calibration::information::projection_goal::ProjectionGoal::criterion_px
+    /// What views are compared by, in pixels of b.
     pub fn criterion_px(&self, std_px: &[f64]) -> f64 {
-        match self.figure {
-            GoalFigure::Median => self.figure_px(std_px),
-            GoalFigure::Worst => power_mean(std_px),
-        }
+        self.figure.criterion(std_px)
     }
 }
 
