@@ -21,6 +21,7 @@ use crate::estimation::joint::Layout;
 use crate::estimation::joint::linearize::LinearizationPoint;
 use crate::estimation::joint::per_observation::{assemble, linearize_each};
 use crate::estimation::problem::{BoardShape, CameraOptions, Shutter};
+use crate::estimation::scaled_factor::ScaledFactor;
 use crate::geometry::pixel::Pixel;
 
 /// What seems to be wrong.
@@ -186,10 +187,7 @@ impl Score {
                 by_global.transpose() * by_global - &coupling * factor.solve(&coupling.transpose());
             right += by_global.transpose() * &residual - coupling * step;
         }
-        // Parameters differ by orders of magnitude: solve in units of their own strength.
-        let unit = schur.diagonal().map(|d| 1.0 / d.max(f64::MIN_POSITIVE).sqrt());
-        let scaled = DMatrix::from_fn(globals, globals, |i, j| schur[(i, j)] * unit[i] * unit[j]);
-        let step = scaled.cholesky()?.solve(&right.component_mul(&unit)).component_mul(&unit);
+        let step = ScaledFactor::of(&schur)?.solve(&right);
         decrease += right.dot(&step);
         let unknowns = globals + extra.per_view() * views.len();
         let shape = step.iter().skip(fit.layout.len).map(|s| -s).collect();

@@ -9,6 +9,7 @@
 //! | where a board is, the lens known | [`board_pose`] |
 //! | a start without any guess | [`zhang`] (closed form), `start` |
 //! | the least-squares problem itself | `joint` |
+//! | matrices over parameters of different orders of magnitude | `scaled_factor` |
 //! | which corners and views to believe | `robust`, `robust_fit`, [`view_fault`] |
 //! | whether the model is right at all, and if not, why | [`model_check`], [`split_halves`], `misfit` |
 //! | whether the corners of a view err together | `clustered_covariance`, `jackknife` |
@@ -52,6 +53,7 @@ pub mod rgbd;
 pub mod rig;
 pub(crate) mod robust;
 mod robust_fit;
+pub(crate) mod scaled_factor;
 pub mod scene;
 mod shape_widening;
 pub mod split_halves;

@@ -3,12 +3,12 @@
 
 use nalgebra::{DMatrix, DVector, Vector6};
 
-use crate::calibration::information::lens_information::inverse;
 use crate::calibration::information::teaching::TaughtView;
 use crate::calibration::information::view_information::inverse_of_pose;
 use crate::estimation::rgbd::plane_information::{
     PlacedDepth, PlaneNormal, TileSample, moved_board,
 };
+use crate::estimation::scaled_factor::scaled_inverse;
 use crate::geometry::depth_camera::DepthTile;
 use crate::geometry::median::{NORMAL_MEDIAN, median};
 
@@ -84,7 +84,7 @@ impl FittedDepth {
         for _ in 0..STEPS {
             let mut damped = now.normal.clone();
             (0..damped.nrows()).for_each(|k| damped[(k, k)] *= 1.0 + damping);
-            let step = -(inverse(&damped)? * &now.gradient);
+            let step = -(scaled_inverse(&damped)? * &now.gradient);
             let next = self.stepped(&step);
             let after = next.as_ref().and_then(|next| next.equations(prior, views));
             match next.zip(after).filter(|(_, after)| after.cost < now.cost) {

@@ -24,12 +24,13 @@
 
 use std::borrow::Cow;
 
-use nalgebra::{DMatrix, DVector, Matrix6, SMatrix};
+use nalgebra::{DMatrix, Matrix6, SMatrix};
 
 use crate::calibration::information::infrared_corners::InfraredNormal;
-use crate::calibration::information::lens_information::{LensInformation, inverse};
+use crate::calibration::information::lens_information::LensInformation;
 use crate::calibration::information::view_information::{ViewNormal, inverse_of_pose};
 use crate::estimation::rgbd::plane_information::{PlacedDepth, PlaneNormal};
+use crate::estimation::scaled_factor::{ScaledFactor, scaled_inverse};
 use crate::geometry::lens::MAX_PARAMETERS;
 
 /// What is known of a depth camera.
@@ -195,7 +196,7 @@ impl DepthInformation {
         let DepthNormal { by_depth, by_color } = &self.depth;
         let (count, free) = (by_depth.nrows() - at, self.free.len());
         let shared = by_depth.view((at, 0), (count, at));
-        let error = inverse(&by_depth.view((at, at), (count, count)).into_owned())?;
+        let error = scaled_inverse(&by_depth.view((at, at), (count, count)).into_owned())?;
         let through = shared.transpose() * error;
         let mut all = self.depth.clone();
         let mut lens_and_place = all.by_depth.view_mut((0, 0), (at, at));
@@ -208,9 +209,12 @@ impl DepthInformation {
     /// The covariance of the depth camera's parameters; `None` where they are not determined.
     pub fn covariance(&self) -> Option<DMatrix<f64>> {
         let views = self.of_all_views()?;
-        let by_depth = inverse(&views.by_depth)?;
+        let by_depth = scaled_inverse(&views.by_depth)?;
         let by_color = &by_depth * &views.by_color;
-        Some(by_depth * self.together + &by_color * inverse(&self.color)? * by_color.transpose())
+        Some(
+            by_depth * self.together
+                + &by_color * scaled_inverse(&self.color)? * by_color.transpose(),
+        )
     }
 
     /// Rows whose squares add up to the variance of each of some numbers with these derivatives, a
@@ -221,31 +225,14 @@ impl DepthInformation {
         by_color: &DMatrix<f64>,
     ) -> Option<[DMatrix<f64>; 2]> {
         let views = self.of_all_views()?;
-        let factor = inverse_factor(&views.by_depth)?;
-        let own = &factor * by_depth;
-        let moved = factor.transpose() * &own;
+        // There are far more columns than parameters: products with the inverse's root take a
+        // fraction of the time that solving for each takes.
+        let root = |matrix| ScaledFactor::of(matrix)?.root_of_inverse();
+        let of_depth = root(&views.by_depth)?;
+        let own = &of_depth * by_depth;
+        let moved = of_depth.transpose() * &own;
         let by_color = by_color + views.by_color.transpose() * moved;
-        let through = inverse_factor(&self.color)? * by_color;
+        let through = root(&self.color)? * by_color;
         Some([own * self.together.sqrt(), through])
     }
-}
-
-/// L⁻¹ of M = L Lᵀ. There are far more columns than parameters: products with the inverse take a
-/// fraction of the time that solving for each takes.
-fn inverse_factor(matrix: &DMatrix<f64>) -> Option<DMatrix<f64>> {
-    let scale = scales(matrix);
-    let factor = scaled(matrix, &scale).cholesky()?;
-    let mut inverse = DMatrix::identity(matrix.nrows(), matrix.nrows());
-    factor.l_dirty().solve_lower_triangular_mut(&mut inverse).then_some(())?;
-    inverse.column_iter_mut().zip(scale.iter()).for_each(|(mut column, scale)| column *= *scale);
-    Some(inverse)
-}
-
-/// Parameters differ by orders of magnitude.
-fn scales(matrix: &DMatrix<f64>) -> DVector<f64> {
-    matrix.diagonal().map(|value| 1.0 / value.max(f64::MIN_POSITIVE).sqrt())
-}
-
-fn scaled(matrix: &DMatrix<f64>, scale: &DVector<f64>) -> DMatrix<f64> {
-    DMatrix::from_fn(matrix.nrows(), matrix.ncols(), |i, j| matrix[(i, j)] * scale[i] * scale[j])
 }

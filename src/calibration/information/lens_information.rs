@@ -3,6 +3,7 @@
 use nalgebra::DMatrix;
 
 use crate::estimation::camera::CameraEstimate;
+use crate::estimation::scaled_factor::scaled_inverse;
 use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pixel::ImageSize;
 
@@ -67,7 +68,7 @@ impl LensInformation {
         }
         let of_free =
             DMatrix::from_fn(free.len(), free.len(), |i, j| covariance[(free[i], free[j])]);
-        Some(Self { lens: estimate.lens, matrix: inverse(&of_free)?, free })
+        Some(Self { lens: estimate.lens, matrix: scaled_inverse(&of_free)?, free })
     }
 
     /// The same with the information of one more view.
@@ -79,12 +80,12 @@ impl LensInformation {
     /// The covariance of all of the lens's parameters, in the order of [`Lens::parameter_names`];
     /// zero rows for those that are not open. `None` where it is not determined.
     pub fn covariance(&self) -> Option<DMatrix<f64>> {
-        over_all(&self.lens, &self.free, &inverse(&self.matrix)?)
+        over_all(&self.lens, &self.free, &scaled_inverse(&self.matrix)?)
     }
 
     /// As [`Self::covariance`], with the information of `view` in it.
     pub fn covariance_with(&self, view: &DMatrix<f64>) -> Option<DMatrix<f64>> {
-        over_all(&self.lens, &self.free, &inverse(&(&self.matrix + view))?)
+        over_all(&self.lens, &self.free, &scaled_inverse(&(&self.matrix + view))?)
     }
 }
 
@@ -103,13 +104,4 @@ fn over_all(lens: &Lens, free: &[usize], of_free: &DMatrix<f64>) -> Option<DMatr
         }
     }
     covariance.iter().all(|v| v.is_finite()).then_some(covariance)
-}
-
-/// The inverse of a symmetric matrix whose parameters differ by orders of magnitude.
-pub fn inverse(matrix: &DMatrix<f64>) -> Option<DMatrix<f64>> {
-    let scale = matrix.diagonal().map(|v| 1.0 / v.max(f64::MIN_POSITIVE).sqrt());
-    let scaled = |m: &DMatrix<f64>| {
-        DMatrix::from_fn(m.nrows(), m.ncols(), |i, j| m[(i, j)] * scale[i] * scale[j])
-    };
-    Some(scaled(&scaled(matrix).cholesky()?.inverse()))
 }

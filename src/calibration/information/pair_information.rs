@@ -12,8 +12,9 @@
 
 use nalgebra::{DMatrix, Matrix6, SMatrix, Vector3};
 
-use crate::calibration::information::lens_information::{LensInformation, inverse};
+use crate::calibration::information::lens_information::LensInformation;
 use crate::calibration::information::view_information::{ViewNormal, inverse_of_pose};
+use crate::estimation::scaled_factor::scaled_inverse;
 use crate::geometry::lens::MAX_PARAMETERS;
 use crate::geometry::pose::Pose;
 
@@ -101,7 +102,7 @@ impl PairInformation {
     /// is not determined.
     pub fn place_covariance(&self) -> Option<Matrix6<f64>> {
         let at = self.matrix.nrows() - 6;
-        Some(inverse(&self.matrix)?.fixed_view::<6, 6>(at, at).into_owned())
+        Some(scaled_inverse(&self.matrix)?.fixed_view::<6, 6>(at, at).into_owned())
     }
 }
 

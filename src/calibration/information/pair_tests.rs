@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector, Point3, UnitQuaternion, Vector3, Vector6};
 use crate::calibration::information::candidate_views::{BoardPoints, CandidateSpace, Holding};
 use crate::calibration::information::corner_noise::CornerNoise;
 use crate::calibration::information::information_tests::{SIZE, board, fisheye, lens, noise};
-use crate::calibration::information::lens_information::{LensInformation, inverse};
+use crate::calibration::information::lens_information::LensInformation;
 use crate::calibration::information::next_shared_view::suggest_shared_view;
 use crate::calibration::information::pair_information::{PairInformation, stepped};
 use crate::calibration::information::projection_goal::GoalFigure;
@@ -15,6 +15,7 @@ use crate::calibration::information::view_information::{ViewNormal, WeightedCorn
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::problem::{BoardView, Correspondence, LensChoice};
 use crate::estimation::rig::{FrameSetView, RigEstimate, RigProblem, RigSensor, calibrate_rig};
+use crate::estimation::scaled_factor::scaled_inverse;
 use crate::estimation::uncertainty::PixelGrid;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::Pixel;
@@ -181,7 +182,7 @@ fn transfers_have_the_uncertainty_of_numeric_derivatives() {
         }
         let goal =
             TransferGoal::new(&known, [(&a, SIZE), (&b, SIZE)], 0.6, GoalFigure::Median).unwrap();
-        let covariance = inverse(&known.matrix).unwrap();
+        let covariance = scaled_inverse(&known.matrix).unwrap();
         let grid = PixelGrid::over(SIZE, 7);
         let mut expected = Vec::new();
         for pixel in grid.pixels() {

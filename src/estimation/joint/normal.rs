@@ -9,6 +9,7 @@ use crate::estimation::joint::linearize::{
 };
 use crate::estimation::joint::{BoardObservation, Layout, State};
 use crate::estimation::robust::Loss;
+use crate::estimation::scaled_factor::ScaledFactor;
 
 /// The normal equations of all observations at one state.
 #[derive(Debug, Clone)]
@@ -248,12 +249,9 @@ impl NormalEquations {
                 }
             }
         }
-        // Parameters differ by orders of magnitude: invert in units of their own strength.
+        // In units of each parameter's strength with the poses known: the reduced one may be 0.
         let unit = DVector::from_fn(size, |i, _| 1.0 / self.global[(i, i)].sqrt());
-        let scaled =
-            DMatrix::from_fn(size, size, |i, j| schur[(i.max(j), i.min(j))] * unit[i] * unit[j]);
-        let inverse = scaled.cholesky()?.inverse();
-        let covariance = DMatrix::from_fn(size, size, |i, j| inverse[(i, j)] * unit[i] * unit[j]);
+        let covariance = ScaledFactor::in_units(&schur, unit)?.inverse();
         covariance.iter().all(|v| v.is_finite()).then_some(covariance)
     }
 
