@@ -6,9 +6,6 @@ use nalgebra::Point3;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::{ImageSize, Pixel};
 
-/// The parameters before a lens's coefficients: fx, fy, cx, cy, skew.
-const MATRIX: usize = 5;
-
 /// The names of the coefficients whose standard deviations, each by itself, move some corner of the
 /// image farther than all coefficients together do: by itself such a coefficient says nothing of
 /// the lens. `lens_std` is in the order of [`Lens::parameter_names`]. Corners that the model does
@@ -30,7 +27,7 @@ pub fn known_only_together(lens: &Lens, lens_std: &[f64], size: ImageSize) -> Ve
     let mut names = Lens::parameter_names(lens.model());
     let mut unknown = vec![false; names.len()];
     let mut without = lens.parameters();
-    without.iter_mut().skip(MATRIX).for_each(|coefficient| *coefficient = 0.0);
+    without.iter_mut().skip(Lens::FIRST_COEFFICIENT).for_each(|coefficient| *coefficient = 0.0);
     let Some(without) = Lens::from_parameters(lens.model(), &without) else { return Vec::new() };
     for (x, y) in corners {
         let seen = lens.bearing_from_pixel(Pixel::new(x, y));
@@ -41,7 +38,9 @@ pub fn known_only_together(lens: &Lens, lens_std: &[f64], size: ImageSize) -> Ve
             continue;
         };
         let distortion_px = projection.pixel.distance_px(before);
-        for (index, std) in lens_std.iter().enumerate().take(names.len()).skip(MATRIX) {
+        for (index, std) in
+            lens_std.iter().enumerate().take(names.len()).skip(Lens::FIRST_COEFFICIENT)
+        {
             let moved_px = projection.by_parameters.column(index).norm() * std;
             unknown[index] |= moved_px > distortion_px;
         }

@@ -23,9 +23,6 @@ const EVEN: f64 = 1.0;
 /// question are off by hundreds of deviations.
 const LEAST_ODDS: f64 = 0.05;
 
-/// The parameters before a lens's coefficients: fx, fy, cx, cy, skew.
-const MATRIX: usize = 5;
-
 /// A model as it was compared with the others, and its fit as it is reported where it is chosen:
 /// models are compared on one board, and each is reported on the board that it found itself.
 pub(crate) struct ComparedModel<'a> {
@@ -84,7 +81,12 @@ fn difference(own: &CameraFit, other: &CameraFit, grid: PixelGrid) -> Option<DVe
     let free_lens = &own.layout.sensors[0].lens;
     let coefficients = FreeLens {
         model: free_lens.model,
-        free: free_lens.free.iter().copied().filter(|index| *index >= MATRIX).collect(),
+        free: free_lens
+            .free
+            .iter()
+            .copied()
+            .filter(|index| *index >= Lens::FIRST_COEFFICIENT)
+            .collect(),
         square_pixels: false,
     };
     let moved = Lens { matrix: target.matrix, ..*lens };

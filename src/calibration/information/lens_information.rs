@@ -91,7 +91,7 @@ impl LensInformation {
 
 /// All parameters of a model but skew, which is 0 unless asked for.
 pub fn open_parameters(model: LensModel) -> Vec<usize> {
-    (0..Lens::parameter_names(model).len()).filter(|index| *index != 4).collect()
+    (0..Lens::parameter_names(model).len()).filter(|index| *index != Lens::SKEW).collect()
 }
 
 /// A covariance of the free parameters as one of all; `None` where it is not finite.

@@ -7,7 +7,7 @@ use nalgebra::DVector;
 
 use crate::calibration::scene::fitted_lens::{FITTING, LensFit};
 use crate::estimation::scene::covariance::lens_covariance;
-use crate::estimation::scene::lens_prior::{CX, CY};
+use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 
 /// How often images of a shape that cameras have are parts of larger ones.
@@ -71,7 +71,7 @@ fn as_part(whole: &LensFit) -> Option<LensFit> {
 
 /// How many coordinates of the principal point are estimated.
 fn center_parameters(fit: &LensFit) -> usize {
-    fit.fit.bundle.free.iter().filter(|k| [CX, CY].contains(k)).count()
+    fit.fit.bundle.free.iter().filter(|k| [Lens::CX, Lens::CY].contains(k)).count()
 }
 
 /// The logarithm of how likely the observations are under a fit's prior, by Laplace's

@@ -6,8 +6,8 @@ use nalgebra::{DVector, RowDVector};
 use crate::calibration::scene::fitted_lens::LensFit;
 use crate::estimation::scene::bundle::Bundle;
 use crate::estimation::scene::focal_by_image::{FocalByImage, separate_focals};
-use crate::estimation::scene::lens_prior::{FX, FY};
 use crate::estimation::scene::reconstruction::Reconstruction;
+use crate::geometry::lens::Lens;
 
 /// Images that have another focal length than the others.
 #[derive(Debug, Clone, PartialEq)]
@@ -93,8 +93,8 @@ impl Contrast {
 pub(super) fn widen(fit: &mut LensFit, others: &OtherFocals) {
     let matrix = fit.fit.state.lens.matrix;
     let focal = |parameter: usize| match parameter {
-        FX => matrix.fx,
-        FY => matrix.fy,
+        Lens::FX => matrix.fx,
+        Lens::FY => matrix.fy,
         _ => 0.0,
     };
     let free = &fit.fit.bundle.free;

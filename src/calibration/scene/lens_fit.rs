@@ -8,7 +8,6 @@ use crate::calibration::scene::refusal::SceneRefusal;
 use crate::estimation::problem::{GivenParameter, LensChoice};
 use crate::estimation::scene::bundle::{Bundle, SceneState};
 use crate::estimation::scene::covariance::lens_covariance;
-use crate::estimation::scene::lens_prior::{COEFFICIENTS, SKEW};
 use crate::estimation::scene::reconstruction::Reconstruction;
 use crate::estimation::scene::robust_bundle::fit_robustly;
 use crate::geometry::lens::{Lens, LensModel};
@@ -105,7 +104,7 @@ pub(super) fn with_free_distortion(start: &Reconstruction) -> (Bundle, SceneStat
     let lens = largest_polynomial(start, &models)
         .and_then(|model| Lens::from_parameters(model, &first_guess(start, model)));
     state.lens = lens.unwrap_or(state.lens);
-    bundle.free = (0..state.lens.parameters().len()).filter(|k| *k != SKEW).collect();
+    bundle.free = (0..state.lens.parameters().len()).filter(|k| *k != Lens::SKEW).collect();
     (bundle, state)
 }
 
@@ -124,7 +123,8 @@ fn between_models(fits: &[LensFit], costs: &[f64], chosen: usize) -> DMatrix<f64
         let other = fit.fit.state.lens.parameters();
         let difference = DVector::from_iterator(
             free.len(),
-            free.iter().map(|p| if *p < COEFFICIENTS { other[*p] - own[*p] } else { 0.0 }),
+            free.iter()
+                .map(|p| if *p < Lens::FIRST_COEFFICIENT { other[*p] - own[*p] } else { 0.0 }),
         );
         covariance += &difference * difference.transpose() * (likelihood(k) / sum);
     }
@@ -138,7 +138,7 @@ fn fit_model(
     given: &[GivenParameter],
 ) -> Result<LensFit, SceneRefusal> {
     let (mut parameters, names) = (first_guess(start, model), Lens::parameter_names(model));
-    let mut free: Vec<usize> = (0..parameters.len()).filter(|k| *k != SKEW).collect();
+    let mut free: Vec<usize> = (0..parameters.len()).filter(|k| *k != Lens::SKEW).collect();
     for GivenParameter { name, value } in given {
         let unknown = || SceneRefusal::UnknownParameter { name: name.clone(), model };
         let index = names.iter().position(|known| known == name).ok_or_else(unknown)?;
@@ -163,7 +163,8 @@ fn fit_model(
 /// Whether `model` is one of the family of Brown's polynomials.
 fn is_polynomial(start: &Reconstruction, model: LensModel) -> bool {
     let mut parameters = start.bundle.prior.mean(model);
-    parameters[..COEFFICIENTS].copy_from_slice(&start.state.lens.parameters()[..COEFFICIENTS]);
+    parameters[..Lens::FIRST_COEFFICIENT]
+        .copy_from_slice(&start.state.lens.parameters()[..Lens::FIRST_COEFFICIENT]);
     Lens::from_parameters(model, &parameters)
         .is_some_and(|lens| lens.distortion.as_rational().is_some())
 }
@@ -172,12 +173,12 @@ fn is_polynomial(start: &Reconstruction, model: LensModel) -> bool {
 fn first_guess(start: &Reconstruction, model: LensModel) -> Vec<f64> {
     let known = start.state.lens.parameters();
     let mut parameters = start.bundle.prior.mean(model);
-    parameters[..COEFFICIENTS].copy_from_slice(&known[..COEFFICIENTS]);
+    parameters[..Lens::FIRST_COEFFICIENT].copy_from_slice(&known[..Lens::FIRST_COEFFICIENT]);
     if !is_polynomial(start, model) {
-        parameters.truncate(COEFFICIENTS);
+        parameters.truncate(Lens::FIRST_COEFFICIENT);
         parameters.extend(model.straight());
     } else if let (Some(own), Some(first)) =
-        (parameters.get_mut(COEFFICIENTS), known.get(COEFFICIENTS))
+        (parameters.get_mut(Lens::FIRST_COEFFICIENT), known.get(Lens::FIRST_COEFFICIENT))
     {
         *own = *first;
     }

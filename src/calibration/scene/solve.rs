@@ -19,7 +19,6 @@ use crate::estimation::interrupt::Interrupt;
 use crate::estimation::problem::{GivenParameter, LensChoice};
 use crate::estimation::scene::bundle::{BundleStop, CameraMotion};
 use crate::estimation::scene::hypotheses::reconstruct_best;
-use crate::estimation::scene::lens_prior::{COEFFICIENTS, CX, CY, FX, FY};
 use crate::estimation::scene::reconstruction::Reconstruction;
 use crate::estimation::scene::rotation_only::reconstruct_rotations;
 use crate::estimation::uncertainty::{
@@ -133,7 +132,7 @@ pub fn calibrate_scene(
     let different_focals = others.map(|others| focal_lengths::reason(&others, name));
     let mut calibration = finished(images, &start, &fit, (&conditions, &found, different_focals));
     let sensor = &calibration.sensor;
-    let focal = (sensor.lens.matrix.fx, sensor.lens_std[FX]);
+    let focal = (sensor.lens.matrix.fx, sensor.lens_std[Lens::FX]);
     let unfit = options.nominal_focal.and_then(|nominal| verdict::unfit_focal(nominal, focal));
     calibration.verdict.reasons.extend(unfit);
     Ok(calibration)
@@ -233,7 +232,10 @@ fn reconstruction(
 
 /// Poses and points as near to the truth as keypoints have them.
 fn settle(start: &mut Reconstruction) {
-    let free = std::mem::replace(&mut start.bundle.free, vec![FX, FY, CX, CY, COEFFICIENTS]);
+    let free = std::mem::replace(
+        &mut start.bundle.free,
+        vec![Lens::FX, Lens::FY, Lens::CX, Lens::CY, Lens::FIRST_COEFFICIENT],
+    );
     start.bundle.robust_limit = ROBUST * start.bundle.median_noise(&start.state);
     start.state = start.bundle.minimize(start.state.clone(), COMPARING);
     start.bundle.free = free;

@@ -102,7 +102,8 @@ enum Column {
 }
 
 fn assert_agrees(world: &World, column: Column, analytic: &[f64], name: &str) {
-    let unit = if matches!(column, Column::Lens(k) if k < 5) { 100.0 } else { 1.0 };
+    let unit =
+        if matches!(column, Column::Lens(k) if k < Lens::FIRST_COEFFICIENT) { 100.0 } else { 1.0 };
     let step = STEP * unit;
     let (after, before) = (world.residuals(column, step), world.residuals(column, -step));
     let numeric: Vec<f64> =

@@ -46,14 +46,15 @@ impl FreeLens {
                 known: names.join(", "),
             };
             let index = names.iter().position(|known| known == name).ok_or_else(unknown)?;
-            if !value.is_finite() || (index < 2 && *value <= 0.0) {
+            let is_focal = [Lens::FX, Lens::FY].contains(&index);
+            if !value.is_finite() || (is_focal && *value <= 0.0) {
                 return Err(EstimationError::GivenValue { name: name.clone(), value: *value });
             }
             given.push((index, *value));
         }
         if options.square_pixels {
             // The focal length that is given is both.
-            for (one, other) in [(0, 1), (1, 0)] {
+            for (one, other) in [(Lens::FX, Lens::FY), (Lens::FY, Lens::FX)] {
                 let value = given.iter().find(|(index, _)| *index == one).map(|(_, value)| *value);
                 if !given.iter().any(|(index, _)| *index == other) {
                     given.extend(value.map(|value| (other, value)));
@@ -61,10 +62,10 @@ impl FreeLens {
             }
         }
         let is_given = |index: usize| given.iter().any(|(known, _)| *known == index);
-        let square_pixels = options.square_pixels && !is_given(0) && !is_given(1);
+        let square_pixels = options.square_pixels && !is_given(Lens::FX) && !is_given(Lens::FY);
         let held = |index: usize| match index {
-            1 => square_pixels,
-            4 => !options.skew,
+            Lens::FY => square_pixels,
+            Lens::SKEW => !options.skew,
             _ => false,
         };
         let free = (0..names.len()).filter(|index| !is_given(*index) && !held(*index)).collect();
@@ -76,8 +77,8 @@ impl FreeLens {
         let mut by_free = DMatrix::zeros(lens.parameters().len(), self.free.len());
         for (column, index) in self.free.iter().enumerate() {
             by_free[(*index, column)] = 1.0;
-            if self.square_pixels && *index == 0 {
-                by_free[(1, column)] = 1.0;
+            if self.square_pixels && *index == Lens::FX {
+                by_free[(Lens::FY, column)] = 1.0;
             }
         }
         by_free

@@ -12,6 +12,7 @@ use pulp::{Arch, Simd, WithSimd};
 use crate::estimation::joint::{BoardObservation, Layout, State};
 use crate::estimation::robust::Loss;
 use crate::geometry::camera_matrix::CameraMatrix;
+use crate::geometry::lens::Lens;
 use crate::geometry::lens::columns::DistortedColumns;
 
 /// The normal equations of one observation in its local columns: `products[i * columns + j]` for i
@@ -248,14 +249,14 @@ fn fill_lens_column(
         }
     };
     match parameter {
-        0 if square_pixels => (weighted(x, xs), weighted(y, ys)),
-        0 => (weighted(x, xs), y.fill(0.0)),
-        1 => (x.fill(0.0), weighted(y, ys)),
-        2 => (x.copy_from_slice(factor), y.fill(0.0)),
-        3 => (x.fill(0.0), y.copy_from_slice(factor)),
-        4 => (weighted(x, ys), y.fill(0.0)),
+        Lens::FX if square_pixels => (weighted(x, xs), weighted(y, ys)),
+        Lens::FX => (weighted(x, xs), y.fill(0.0)),
+        Lens::FY => (x.fill(0.0), weighted(y, ys)),
+        Lens::CX => (x.copy_from_slice(factor), y.fill(0.0)),
+        Lens::CY => (x.fill(0.0), y.copy_from_slice(factor)),
+        Lens::SKEW => (weighted(x, ys), y.fill(0.0)),
         coefficient => {
-            let [by_x, by_y] = distorted.by_coefficient(coefficient - 5);
+            let [by_x, by_y] = distorted.by_coefficient(coefficient - Lens::FIRST_COEFFICIENT);
             for (index, factor) in factor.iter().enumerate() {
                 x[index] = (matrix.fx * by_x[index] + matrix.skew * by_y[index]) * factor;
                 y[index] = matrix.fy * by_y[index] * factor;

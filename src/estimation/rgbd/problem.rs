@@ -142,7 +142,7 @@ pub struct PlacedDevice {
 
 /// All parameters of a lens but the skew, up to number `end`.
 pub(super) fn free(lens: &Lens, end: usize) -> FreeLens {
-    let free = (0..lens.parameters().len().min(end)).filter(|k| *k != 4).collect();
+    let free = (0..lens.parameters().len().min(end)).filter(|k| *k != Lens::SKEW).collect();
     FreeLens { model: lens.model(), free, square_pixels: false }
 }
 

@@ -8,9 +8,8 @@ use crate::estimation::scene::bundle::{
     Bundle, BundleStop, CameraMotion, PixelRow, SceneObservation, SceneState,
 };
 use crate::estimation::scene::covariance::{lens_covariance, scale_parameter};
-use crate::estimation::scene::lens_prior::{FX, FY};
 use crate::estimation::scene::robust_bundle::{CAUCHY, fit_robustly};
-use crate::geometry::lens::MAX_PARAMETERS;
+use crate::geometry::lens::{Lens, MAX_PARAMETERS};
 use crate::geometry::pixel::Pixel;
 
 /// What each image says of its focal length.
@@ -87,8 +86,8 @@ fn scale_images(
 /// their true standard deviations; `None` where they are not determined.
 pub fn focal_by_image(bundle: &Bundle, state: &SceneState) -> Option<FocalByImage> {
     let mut free = bundle.free.clone();
-    free.extend([FX, FY].into_iter().filter(|k| !bundle.free.contains(k)));
-    let both = [FX, FY].map(|k| free.iter().position(|own| *own == k).unwrap_or(0));
+    free.extend([Lens::FX, Lens::FY].into_iter().filter(|k| !bundle.free.contains(k)));
+    let both = [Lens::FX, Lens::FY].map(|k| free.iter().position(|own| *own == k).unwrap_or(0));
     let with_focal = Bundle { free, ..bundle.clone() };
     let cameras = state.cameras_from_scene.len();
     let own = bundle.size(cameras);
@@ -198,7 +197,7 @@ mod tests {
     #[test]
     fn images_of_quite_other_focal_lengths_are_found() {
         let (mut bundle, truth) = exact();
-        bundle.free = vec![FX, FY];
+        bundle.free = vec![Lens::FX, Lens::FY];
         bundle.observations.iter_mut().flatten().for_each(|seen| seen.inverse_std *= 1e3);
         enlarged(&mut bundle, &truth, 1, 1.3);
         enlarged(&mut bundle, &truth, 2, 1.3);
@@ -212,7 +211,7 @@ mod tests {
     #[test]
     fn an_image_of_another_focal_length_is_found() {
         let (mut bundle, truth) = exact();
-        bundle.free = vec![FX, FY];
+        bundle.free = vec![Lens::FX, Lens::FY];
         // As exact as it takes for priors to say nothing beside: they know fx / fy to 0.2 %.
         bundle.observations.iter_mut().flatten().for_each(|seen| seen.inverse_std *= 1e3);
         enlarged(&mut bundle, &truth, 2, 1.0002);

@@ -2,7 +2,6 @@
 //! one that explains most of them is taken.
 
 use crate::estimation::scene::bundle::BundleStop;
-use crate::estimation::scene::lens_prior::{COEFFICIENTS, FX, FY};
 use crate::estimation::scene::problem::{SceneProblem, Track};
 use crate::estimation::scene::reconstruction::{ImagePair, Reconstruction, reconstruct};
 use crate::estimation::two_view::focal::{focal_votes, likely_focals};
@@ -67,7 +66,7 @@ fn tried(few: &SceneProblem, pairs: &[ImagePair], focal: f64) -> Option<(Lens, f
     let parameters = [focal, focal, center.x, center.y, 0.0, 0.0];
     let lens = Lens::from_parameters(LensModel::Radial, &parameters)?;
     let Reconstruction { mut bundle, state, .. } = reconstruct(few, pairs, lens)?;
-    bundle.free = vec![FX, FY, COEFFICIENTS];
+    bundle.free = vec![Lens::FX, Lens::FY, Lens::FIRST_COEFFICIENT];
     bundle.robust_limit = ROBUST_LIMIT;
     let state = bundle.minimize(state, TRYING);
     let explained: usize = bundle.observations.iter().map(Vec::len).sum();

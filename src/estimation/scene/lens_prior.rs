@@ -35,19 +35,6 @@ pub struct PriorTerm {
     pub by_parameters: Vec<(usize, f64)>,
 }
 
-/// Where a parameter is in [`Lens::parameters`].
-pub const FX: usize = 0;
-/// See [`FX`].
-pub const FY: usize = 1;
-/// See [`FX`].
-pub const CX: usize = 2;
-/// See [`FX`].
-pub const CY: usize = 3;
-/// See [`FX`].
-pub const SKEW: usize = 4;
-/// The first coefficient.
-pub const COEFFICIENTS: usize = 5;
-
 impl LensPrior {
     /// Of a camera's own images.
     pub const fn of_whole(image_size: ImageSize) -> Self {
@@ -80,15 +67,18 @@ impl LensPrior {
     pub fn terms(&self, lens: &Lens) -> Vec<PriorTerm> {
         let (parameters, std) = (lens.parameters(), self.std(lens.model()));
         let mean = self.mean(lens.model());
-        let ratio = parameters[FY] / parameters[FX];
+        let ratio = parameters[Lens::FY] / parameters[Lens::FX];
         let mut terms = vec![PriorTerm {
             residual: (ratio - 1.0) / ASPECT_STD,
             by_parameters: vec![
-                (FX, -ratio / parameters[FX] / ASPECT_STD),
-                (FY, 1.0 / parameters[FX] / ASPECT_STD),
+                (Lens::FX, -ratio / parameters[Lens::FX] / ASPECT_STD),
+                (Lens::FY, 1.0 / parameters[Lens::FX] / ASPECT_STD),
             ],
         }];
-        for (k, value) in parameters.iter().enumerate().filter(|(k, _)| ![FX, FY, SKEW].contains(k))
+        for (k, value) in parameters
+            .iter()
+            .enumerate()
+            .filter(|(k, _)| ![Lens::FX, Lens::FY, Lens::SKEW].contains(k))
         {
             terms.push(PriorTerm {
                 residual: (value - mean[k]) / std[k],

@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Point2, Point3};
 use crate::estimation::scene::bundle::{
     Bundle, BundleStop, CameraMotion, SceneObservation, SceneState,
 };
-use crate::estimation::scene::lens_prior::{FX, FY, LensPrior};
+use crate::estimation::scene::lens_prior::LensPrior;
 use crate::estimation::scene::problem::{SceneProblem, TrackPoint};
 use crate::estimation::scene::resection::{PointInImage, resect};
 use crate::estimation::two_view::PointPair;
@@ -144,7 +144,7 @@ impl<'a> Growing<'a> {
             self.camera_from_scene[image] = Some(found.model);
             self.order.push(image);
             self.triangulate();
-            self.adjust(&[FX, FY]);
+            self.adjust(&[Lens::FX, Lens::FY]);
             self.triangulate();
             refused.clear();
         }
@@ -248,7 +248,7 @@ impl<'a> Growing<'a> {
 
     fn finish(mut self) -> Option<Reconstruction> {
         self.triangulate();
-        let (bundle, state, _) = self.bundle(&[FX, FY]);
+        let (bundle, state, _) = self.bundle(&[Lens::FX, Lens::FY]);
         (!state.points.is_empty()).then_some(Reconstruction { images: self.order, bundle, state })
     }
 }

@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Point3};
 use crate::estimation::scene::bundle::{
     Bundle, BundleStop, CameraMotion, SceneObservation, SceneState,
 };
-use crate::estimation::scene::lens_prior::{COEFFICIENTS, CX, CY, FX, FY, LensPrior};
+use crate::estimation::scene::lens_prior::LensPrior;
 use crate::estimation::scene::problem::SceneProblem;
 use crate::estimation::scene::reconstruction::Reconstruction;
 use crate::geometry::camera_matrix::CameraMatrix;
@@ -116,7 +116,7 @@ pub fn reconstruct_rotations(
     let prior = LensPrior::of_whole(problem.image_size);
     let mut bundle = Bundle {
         observations,
-        free: vec![FX, FY],
+        free: vec![Lens::FX, Lens::FY],
         prior,
         motion: CameraMotion::RotationOnly,
         robust_limit: f64::INFINITY,
@@ -126,7 +126,7 @@ pub fn reconstruct_rotations(
     bundle.robust_limit = ROBUST * bundle.median_noise(&state);
     let mut state = bundle.minimize(state, DESCENDING);
     // The homographies were taken for those of a lens without distortion and in the middle.
-    bundle.free = vec![FX, FY, CX, CY, COEFFICIENTS];
+    bundle.free = vec![Lens::FX, Lens::FY, Lens::CX, Lens::CY, Lens::FIRST_COEFFICIENT];
     let mut noise = bundle.median_noise(&state);
     for _ in 0..REFITS {
         bundle.robust_limit = ROBUST * noise;

@@ -39,8 +39,9 @@ use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::lens::columns::DistortedColumns;
 use crate::geometry::pixel::{Bearing, Pixel};
 
-/// The most parameters a lens has: fx, fy, cx, cy, skew and the most coefficients of any model.
-pub const MAX_PARAMETERS: usize = 5 + MAX_COEFFICIENTS;
+/// The most parameters a lens has: those of its camera matrix and the most coefficients of any
+/// model.
+pub const MAX_PARAMETERS: usize = Lens::FIRST_COEFFICIENT + MAX_COEFFICIENTS;
 
 /// The models. A line here and its file are all there is to a model.
 macro_rules! lens_models {
@@ -273,6 +274,22 @@ pub struct Projection {
     pub by_parameters: SMatrix<f64, 2, MAX_PARAMETERS>,
 }
 
+/// Where each parameter is in [`Lens::parameters`].
+impl Lens {
+    /// Focal length along x.
+    pub const FX: usize = 0;
+    /// Focal length along y.
+    pub const FY: usize = 1;
+    /// Principal point along x.
+    pub const CX: usize = 2;
+    /// Principal point along y.
+    pub const CY: usize = 3;
+    /// Skew.
+    pub const SKEW: usize = 4;
+    /// The first of the model's coefficients.
+    pub const FIRST_COEFFICIENT: usize = 5;
+}
+
 impl Lens {
     /// A lens without distortion.
     pub fn pinhole(matrix: CameraMatrix) -> Self {
@@ -337,12 +354,14 @@ fn projection<const N: usize>(matrix: &CameraMatrix, distorted: &Distorted<N>) -
     let pixel_by_normalized = Matrix2::new(fx, skew, 0.0, fy);
     let (x, y) = (distorted.normalized.x, distorted.normalized.y);
     let mut by_parameters = SMatrix::<f64, 2, MAX_PARAMETERS>::zeros();
-    by_parameters[(0, 0)] = x;
-    by_parameters[(1, 1)] = y;
-    by_parameters[(0, 2)] = 1.0;
-    by_parameters[(1, 3)] = 1.0;
-    by_parameters[(0, 4)] = y;
-    by_parameters.columns_mut(5, N).copy_from(&(pixel_by_normalized * distorted.by_coefficients));
+    by_parameters[(0, Lens::FX)] = x;
+    by_parameters[(1, Lens::FY)] = y;
+    by_parameters[(0, Lens::CX)] = 1.0;
+    by_parameters[(1, Lens::CY)] = 1.0;
+    by_parameters[(0, Lens::SKEW)] = y;
+    by_parameters
+        .columns_mut(Lens::FIRST_COEFFICIENT, N)
+        .copy_from(&(pixel_by_normalized * distorted.by_coefficients));
     Projection {
         pixel: matrix.pixel_from_normalized(distorted.normalized),
         by_point: pixel_by_normalized * distorted.by_point,
