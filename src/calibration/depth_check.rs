@@ -8,15 +8,13 @@ use crate::calibration::depth_calibration::{DepthBias, DepthCalibration};
 use crate::calibration::plane_error::{BoardInDepthImage, PatchError, patch_errors};
 use crate::calibration::result::Extrinsics;
 use crate::estimation::rgbd::motion::MovingBoard;
-use crate::geometry::median::median;
+use crate::geometry::median::{STD_PER_MAD, median};
 use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
 use crate::imaging::depth_image::DepthImage;
 
 /// An error of this many standard deviations is a change.
 const LIMIT_SIGMAS: f64 = 3.0;
-/// The standard deviation of a normal distribution over its median absolute deviation.
-const SIGMA_PER_MAD: f64 = 1.4826;
 /// The standard error of a median over that of a mean.
 const MEDIAN_OVER_MEAN: f64 = 1.2533;
 /// Of so many views the worst is left out.
@@ -236,7 +234,7 @@ fn range(
         seen_m: [distances().fold(f64::INFINITY, f64::min), distances().fold(0.0, f64::max)],
         bias_m,
         bias_std_m: median_std(&of_views),
-        robust_std_m: SIGMA_PER_MAD * median(absolute)?,
+        robust_std_m: STD_PER_MAD * median(absolute)?,
         calibrated_m: median(stds)?,
         views: views.len(),
         patches: all.len(),
@@ -251,7 +249,7 @@ fn view_sigmas(patches: &[SeenPatch], motions: &[Vector6<f64>]) -> Option<f64> {
         let explained_m = motions.iter().map(|step| row.dot(step).abs()).fold(0.0, f64::max);
         (one.patch.error_m.abs() - explained_m).max(0.0) / one.std_m
     };
-    Some(SIGMA_PER_MAD * median(patches.iter().map(sigmas).collect())?)
+    Some(STD_PER_MAD * median(patches.iter().map(sigmas).collect())?)
 }
 
 /// How far views are off, see [`DepthCheck::off_sigmas`].

@@ -33,10 +33,15 @@ pub struct Placement {
     pub half_turn_alike: bool,
 }
 
-/// The difference of two placements in one respect alone that counts as one step.
+// The difference of two placements in one respect alone that counts as one step: units in which
+// the limits of admission and guidance are stated.
+/// Of the center, as a part of the image's width and height: 90 px at 640x480 along x.
 const CENTER_STEP: f64 = 0.14;
+/// Of the size, as a natural logarithm: 1.28 times as large.
 const SIZE_STEP_LOG: f64 = 0.25;
+/// Of the tilt, in radians: 11.5 degrees.
 const TILT_STEP_RAD: f64 = 0.20;
+/// Of the roll, in radians: 29 degrees.
 const ROLL_STEP_RAD: f64 = 0.50;
 
 impl Placement {

@@ -1,6 +1,8 @@
 //! Where to start without any guess: Zhang's closed form, or, where a lens distorts the image too
 //! strongly for it, the focal length under which linear poses fit best.
 
+use std::ops::Range;
+
 use nalgebra::{Point2, Point3, Vector3};
 
 use crate::estimation::error::EstimationError;
@@ -44,6 +46,15 @@ const GOOD_ENOUGH: f64 = 0.005;
 /// Focal lengths tried over the image's longer side: of a lens without distortion 136 to 7 degrees
 /// wide, each 1.3 to 1.7 times the one before. Not swept.
 const TRIED_FOCALS: [f64; 11] = [0.2, 0.28, 0.4, 0.55, 0.75, 1.0, 1.4, 2.0, 3.0, 5.0, 8.0];
+
+// A camera matrix of the closed form beyond these limits follows noise or distortion, and is no
+// candidate. Cameras lie far within them.
+/// The principal point, as parts of the image's width and height.
+const PLAUSIBLE_CENTER: [f64; 2] = [0.1, 0.9];
+/// fx over fy.
+const PLAUSIBLE_ASPECT: Range<f64> = 0.6..1.6;
+/// fx over the image's longer side: of a lens without distortion 157 to 1.1 degrees wide.
+const PLAUSIBLE_FOCAL: Range<f64> = 0.1..50.0;
 
 /// At least this many corners make a view: a flat pose takes four, two more make errors show.
 const MIN_POINTS: usize = 6;
@@ -373,13 +384,14 @@ pub(crate) fn undistorted(model: LensModel, matrix: CameraMatrix) -> Lens {
 
 fn is_plausible(matrix: &CameraMatrix, size: ImageSize) -> bool {
     let (width, height) = (f64::from(size.width), f64::from(size.height));
-    let inside = |c: f64, length: f64| c > 0.1 * length && c < 0.9 * length;
+    let [least, most] = PLAUSIBLE_CENTER;
+    let inside = |c: f64, length: f64| c > least * length && c < most * length;
     let ratio = matrix.fx / matrix.fy;
     let focal = matrix.fx / width.max(height);
     inside(matrix.cx, width)
         && inside(matrix.cy, height)
-        && (0.6..1.6).contains(&ratio)
-        && (0.1..50.0).contains(&focal)
+        && PLAUSIBLE_ASPECT.contains(&ratio)
+        && PLAUSIBLE_FOCAL.contains(&focal)
 }
 
 /// The focal length of square pixels about the image's middle: each homography gives one from

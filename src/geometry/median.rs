@@ -6,6 +6,10 @@ use crate::geometry::pose::Pose;
 /// standard normal quantile of 3/4.
 pub const NORMAL_MEDIAN: f64 = 0.6745;
 
+/// The standard deviation of normally distributed numbers over the median of their absolute
+/// deviations: 1 over the same quantile, which is 0.67449.
+pub const STD_PER_MAD: f64 = 1.4826;
+
 /// The upper median in the total order of floating-point numbers; `None` of none.
 pub fn median(mut values: Vec<f64>) -> Option<f64> {
     median_of(&mut values)

@@ -32,6 +32,10 @@ use crate::estimation::rgbd::planes::{Fit, Planes};
 use crate::geometry::depth_correction::{CorrectedQuantity, DepthCorrection, SplineGrid};
 use crate::geometry::pose::Pose;
 
+/// While the correction is a scale and an offset alone, before its form is chosen: each may change
+/// 1/z by half of it (1 sigma) at the middle of the depths seen, more than the forms that are
+/// compared may, so that a wrong scale is found first. The curvature, which nothing but a grid has,
+/// is the first of those that are compared.
 pub(crate) const BASE_SMOOTHNESS: Smoothness = Smoothness { amplitude: 0.5, curvature: 0.01 };
 
 /// Calibrates color and depth.

@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 use nalgebra::{Matrix2, Point3, Vector2};
 
 use crate::estimation::scene::parts::scene_parts;
-use crate::geometry::median::median;
+use crate::geometry::median::{STD_PER_MAD, median};
 
 /// One comparison of a measured depth with a reconstructed one.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -48,8 +48,6 @@ pub struct ScaleEstimate {
     pub views: usize,
 }
 
-/// The standard deviation of a normal distribution over its median absolute deviation.
-const STD_OF_MEDIAN: f64 = 1.4826;
 /// Readings that are off by more standard deviations are outliers: of normal ones, one in 370.
 const OUTLIER: f64 = 3.0;
 /// How often the line is fitted to what it leaves as inliers.
@@ -66,13 +64,13 @@ const OFFSET_STD_PER_M: f64 = 0.005;
 pub fn metric_scale(readings: &[ScaleReading], points: &[Point3<f64>]) -> Option<ScaleEstimate> {
     let middle = median(readings.iter().map(|reading| reading.log_ratio).collect())?;
     let off = |reading: &ScaleReading| (reading.log_ratio - middle).abs();
-    let robust_std = STD_OF_MEDIAN * median(readings.iter().map(off).collect())?;
+    let robust_std = STD_PER_MAD * median(readings.iter().map(off).collect())?;
     let mut line = Line { scale: middle, offset: 0.0 };
     let mut kept: Vec<&ScaleReading> = Vec::new();
     let mut inverse = Matrix2::zeros();
     for _ in 0..FITS {
         let in_std = |reading: &ScaleReading| line.left(reading).abs() / reading.std;
-        let limit = OUTLIER * STD_OF_MEDIAN * median(readings.iter().map(in_std).collect())?;
+        let limit = OUTLIER * STD_PER_MAD * median(readings.iter().map(in_std).collect())?;
         kept = readings.iter().filter(|reading| in_std(reading) <= limit).collect();
         (line, inverse) = Line::through(&kept)?;
     }
