@@ -73,7 +73,7 @@ fn root_between(coefficients: &[f64], mut low: f64, mut high: f64) -> f64 {
 }
 
 /// The derivative at `x`.
-fn slope(coefficients: &[f64], x: f64) -> f64 {
+pub fn slope(coefficients: &[f64], x: f64) -> f64 {
     coefficients.iter().enumerate().skip(1).rev().fold(0.0, |sum, (k, c)| sum * x + c * k as f64)
 }
 

@@ -1,6 +1,10 @@
-//! All real roots of a polynomial.
+//! All real roots of a polynomial, of either sign and any size. The first positive root, which a
+//! lens asks for, has a search of its own ([`first_root`]): brackets that reach over many orders of
+//! magnitude are halved in the logarithm there, which roots of either sign do not allow.
+//!
+//! [`first_root`]: crate::geometry::polynomial::first_root
 
-use crate::geometry::polynomial::evaluate;
+use crate::geometry::polynomial::{evaluate, slope};
 
 /// Halvings from a bracket of length 2 to the last bit.
 const HALVINGS: usize = 60;
@@ -49,9 +53,6 @@ fn root_between(coefficients: &[f64], mut low: f64, mut high: f64) -> Option<f64
     if at_low.signum() == at_high.signum() {
         return None;
     }
-    let slope = |x: f64| {
-        coefficients.iter().enumerate().skip(1).rev().fold(0.0, |s, (k, c)| s * x + c * k as f64)
-    };
     let mut x = 0.5 * (low + high);
     for _ in 0..HALVINGS {
         let value = evaluate(coefficients, x);
@@ -63,7 +64,7 @@ fn root_between(coefficients: &[f64], mut low: f64, mut high: f64) -> Option<f64
         } else {
             high = x;
         }
-        let newton = x - value / slope(x);
+        let newton = x - value / slope(coefficients, x);
         let next = if newton > low && newton < high { newton } else { 0.5 * (low + high) };
         if (next - x).abs() < 1e-15 {
             break;
