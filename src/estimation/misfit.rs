@@ -17,6 +17,7 @@
 use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix3xX, Point3, Vector3};
 
 use crate::estimation::camera_fit::CameraFit;
+use crate::estimation::effects::state::read_out_time;
 use crate::estimation::joint::Layout;
 use crate::estimation::joint::linearize::LinearizationPoint;
 use crate::estimation::joint::per_observation::{assemble, linearize_each};
@@ -142,12 +143,12 @@ struct Extra {
 }
 
 impl Extra {
-    /// When a pixel was read, in images, from its middle; `None` where all are read at once.
+    /// When a pixel was read, in read-outs of an image from its middle; `None` where all are read at once.
     fn time(&self, pixel: Pixel) -> Option<f64> {
         match self.read {
             Read::AtOnce => None,
-            Read::ByRows => Some((pixel.y + 0.5) / self.size[1] - 0.5),
-            Read::ByColumns => Some((pixel.x + 0.5) / self.size[0] - 0.5),
+            Read::ByRows => Some(read_out_time(pixel.y, self.size[1])),
+            Read::ByColumns => Some(read_out_time(pixel.x, self.size[0])),
         }
     }
 

@@ -54,10 +54,16 @@ pub(super) struct ViewStep {
 /// When each corner was read, in read-outs of an image from its middle.
 pub(super) fn read_out_times(observation: &BoardObservation, scene: Scene<'_>) -> Vec<f64> {
     let time = |pixel: &Pixel| match scene.by_columns {
-        None => (pixel.y + 0.5) / scene.rows - 0.5,
-        Some(columns) => (pixel.x + 0.5) / columns - 0.5,
+        None => read_out_time(pixel.y, scene.rows),
+        Some(columns) => read_out_time(pixel.x, columns),
     };
     observation.pixels.iter().map(time).collect()
+}
+
+/// When a pixel was read, in read-outs of an image from its middle, by its coordinate along the way
+/// that lines are read and the image's length that way, both in pixels.
+pub(crate) fn read_out_time(along_px: f64, length_px: f64) -> f64 {
+    (along_px + 0.5) / length_px - 0.5
 }
 
 impl EffectsState {
