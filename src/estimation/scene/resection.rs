@@ -3,7 +3,9 @@
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
-use crate::estimation::two_view::ransac::{Consensus, RansacOptions, SampledModel, ransac};
+use crate::estimation::two_view::ransac::{
+    Consensus, RansacOptions, SampledModel, chance_in_disk, ransac,
+};
 use crate::estimation::two_view::real_roots;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::{Bearing, ImageSize, Pixel};
@@ -126,8 +128,7 @@ impl SampledModel for Resection<'_> {
     }
 
     fn chance(&self, limit_px: f64) -> f64 {
-        let area = f64::from(self.size.width) * f64::from(self.size.height);
-        std::f64::consts::PI * limit_px * limit_px / area.max(1.0)
+        chance_in_disk(self.size, limit_px)
     }
 
     fn max_solutions(&self) -> f64 {

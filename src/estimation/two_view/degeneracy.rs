@@ -7,7 +7,7 @@ use crate::estimation::two_view::fundamental::{
     fundamental_from_many, fundamental_from_seven, sampson_distance_px,
 };
 use crate::estimation::two_view::ransac::{
-    Consensus, RansacOptions, SampledModel, chance_beside_line, ransac,
+    Consensus, RansacOptions, SampledModel, chance_beside_line, chance_in_disk, ransac,
 };
 use crate::estimation::two_view::refinement::{
     ResidualMixture, refine_fundamental, refine_fundamental_among_wrong,
@@ -224,10 +224,8 @@ impl SampledModel for Planar<'_> {
         mapped.map_or(f64::INFINITY, |mapped| (mapped - pair.second).norm_squared())
     }
 
-    /// A disk in the image.
     fn chance(&self, limit_px: f64) -> f64 {
-        let area = f64::from(self.size.width) * f64::from(self.size.height);
-        std::f64::consts::PI * limit_px * limit_px / area.max(1.0)
+        chance_in_disk(self.size, limit_px)
     }
 
     fn max_solutions(&self) -> f64 {

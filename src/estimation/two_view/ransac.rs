@@ -213,6 +213,12 @@ pub fn chance_beside_line(size: ImageSize, limit_px: f64) -> f64 {
     2.0 * size.diagonal_px() * limit_px / area.max(1.0)
 }
 
+/// The probability that a point anywhere in an image is within `limit_px` of a point in it.
+pub fn chance_in_disk(size: ImageSize, limit_px: f64) -> f64 {
+    let area = f64::from(size.width) * f64::from(size.height);
+    std::f64::consts::PI * limit_px * limit_px / area.max(1.0)
+}
+
 /// `size` different indices below `count`.
 fn draw(random: &mut ChaCha8Rng, count: usize, size: usize) -> Vec<usize> {
     let mut sample = Vec::with_capacity(size);
