@@ -12,6 +12,7 @@ use nalgebra::{
 
 use crate::estimation::interrupt::Interrupt;
 use crate::estimation::scene::lens_prior::LensPrior;
+use crate::estimation::scene::problem::TrackPoint;
 use crate::geometry::lens::{Lens, MAX_PARAMETERS};
 use crate::geometry::pixel::Pixel;
 use crate::geometry::pose::Pose;
@@ -38,6 +39,27 @@ pub struct SceneObservation {
     pub scale_px: f64,
     /// One over the standard deviation of each coordinate, per pixel.
     pub inverse_std: f64,
+}
+
+impl SceneObservation {
+    /// Those of one scene point, by camera, where `camera_of` gives an image's; an image without
+    /// one is left out.
+    pub(super) fn of_track(
+        track: &[TrackPoint],
+        camera_of: impl Fn(usize) -> Option<usize>,
+    ) -> Vec<Self> {
+        let of_point = |at: &TrackPoint| {
+            Some(Self {
+                camera: camera_of(at.image)?,
+                pixel: at.pixel,
+                scale_px: at.scale_px,
+                inverse_std: 1.0 / at.std_px,
+            })
+        };
+        let mut seen: Vec<Self> = track.iter().filter_map(of_point).collect();
+        seen.sort_by_key(|seen| seen.camera);
+        seen
+    }
 }
 
 /// What is seen, and what may change.

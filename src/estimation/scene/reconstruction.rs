@@ -201,20 +201,7 @@ impl<'a> Growing<'a> {
         let (mut observations, mut points, mut tracks) = (Vec::new(), Vec::new(), Vec::new());
         for (k, track) in self.problem.tracks.iter().enumerate() {
             let Some(point) = self.points[k] else { continue };
-            let mut seen: Vec<SceneObservation> = track
-                .iter()
-                .filter_map(|at| {
-                    let inverse_std = 1.0 / at.std_px;
-                    Some(SceneObservation {
-                        camera: camera_of(at.image)?,
-                        pixel: at.pixel,
-                        scale_px: at.scale_px,
-                        inverse_std,
-                    })
-                })
-                .collect();
-            seen.sort_by_key(|seen| seen.camera);
-            observations.push(seen);
+            observations.push(SceneObservation::of_track(track, camera_of));
             points.push(point);
             tracks.push(k);
         }

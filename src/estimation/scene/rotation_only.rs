@@ -94,19 +94,7 @@ pub fn reconstruct_rotations(
     let camera_of = |image: usize| images.iter().position(|k| *k == image);
     let (mut observations, mut points) = (Vec::new(), Vec::new());
     for track in &problem.tracks {
-        let mut seen: Vec<SceneObservation> = track
-            .iter()
-            .filter_map(|at| {
-                let inverse_std = 1.0 / at.std_px;
-                Some(SceneObservation {
-                    camera: camera_of(at.image)?,
-                    pixel: at.pixel,
-                    scale_px: at.scale_px,
-                    inverse_std,
-                })
-            })
-            .collect();
-        seen.sort_by_key(|seen| seen.camera);
+        let seen = SceneObservation::of_track(track, camera_of);
         let Some(first) = seen.first().filter(|_| seen.len() >= 2) else { continue };
         let Some(bearing) = lens.bearing_from_pixel(first.pixel) else { continue };
         let direction = cameras_from_scene[first.camera].inverse() * bearing.into_inner();
