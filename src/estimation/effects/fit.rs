@@ -10,7 +10,7 @@ use crate::estimation::effects::hints::plausible;
 use crate::estimation::effects::read_by_rows::ReadByRows;
 use crate::estimation::effects::search::EffectSearch;
 use crate::estimation::effects::state::Scene;
-use crate::estimation::joint::BoardObservation;
+use crate::estimation::joint::{BoardObservation, State};
 use crate::estimation::robust_fit::{LIMIT, ROUNDING, scale_of, select};
 use crate::estimation::view_fault::ViewFault;
 use crate::geometry::lens::Lens;
@@ -49,18 +49,12 @@ pub(crate) fn fit_effects(
     let [width, rows] = size;
     let wanted = plausible(plain, size, wanted)?;
     let basis = BoardBasis::of(&plain.observations, true)?;
-    let layout = &plain.layout;
-    let mut corners = Corners {
-        observations: plain.observations.clone(),
-        faults: plain.faults.clone(),
-        limit: plain.robust.limit,
-    };
-    let mut good = plain.good_views();
+    let good = plain.good_views();
     if good.len() < MIN_VIEWS {
         return None;
     }
     let whole = Scene {
-        layout,
+        layout: &plain.layout,
         basis: &basis,
         observations: &plain.observations,
         good: &[],
@@ -70,47 +64,15 @@ pub(crate) fn fit_effects(
     };
     // Some of the views may be all that saw a part of the board.
     let found = found.filter(|found| found.basis.points == basis.points);
-    let start = |scene, wanted| {
-        let fixed = plain.robust.minimum.state.clone();
-        match found {
-            Some(found) => EffectSearch::from_found(scene, fixed, found, wanted),
-            None => EffectSearch::start(scene, fixed, wanted),
-        }
-    };
-    let scene = Scene { good: &good, ..whole };
-    let walk = start(scene, wanted)?.settled(scene, wanted)?;
-    let weighed = if walk.moves() && !wanted.motion_for_certain {
-        let without = Wanted { motion: false, ..wanted };
-        let still = || match start(scene, without).and_then(|walk| walk.settled(scene, without)) {
-            Some(still) => Some(still),
-            None => EffectSearch::bare(scene, plain.robust.minimum.state.clone()),
-        };
-        Weighed::of(walk, still, scene, width)?
-    } else {
-        Weighed { walk, without: None, shutter_doubt: None }
-    };
-    let Weighed { mut walk, without, shutter_doubt } = weighed;
+    let start = WalkStart { state: &plain.robust.minimum.state, found };
+    let Weighed { walk, without, shutter_doubt } =
+        start.weighed(Scene { good: &good, ..whole }, wanted, width)?;
     if walk.variances.0.is_empty() {
         return Some(Effects { found: None, shutter_doubt });
     }
-    for round in 0..MAX_ROUNDS {
-        if round > 0 {
-            let scene = Scene { observations: &corners.observations, good: &good, ..whole };
-            walk = walk.again(scene)?.settled(scene, wanted)?;
-        }
-        let residuals = std::mem::take(&mut walk.system.residuals);
-        corners.limit = LIMIT * scale_of(&corners.observations, &residuals).max(ROUNDING);
-        // Where the shutter counts in part, such views would spoil what is without it.
-        let readmitted = round == 0 && without.is_none() && walk.readmit(whole, &mut corners);
-        let Corners { observations, faults, limit } = &mut corners;
-        if !select(observations, &residuals, *limit, faults) && !readmitted {
-            break;
-        }
-        good = (0..faults.len()).filter(|view| faults[*view].is_none()).collect();
-        if good.len() < MIN_VIEWS {
-            return None;
-        }
-    }
+    // Where the shutter counts in part, views that it explains would spoil what is without it.
+    let CornersChosen { walk, corners, good } =
+        CornersChosen::beside(walk, plain, whole, wanted, without.is_none())?;
     let scene = Scene { observations: &corners.observations, good: &good, ..whole };
     let found = walk.finished(scene)?;
     let Some(WithoutMotion { still, by_rows }) = without else {
@@ -154,6 +116,85 @@ pub(crate) fn fit_same_effects(
 fn lens_difference(lens: &Lens, other: &Lens) -> DVector<f64> {
     let [lens, other] = [lens, other].map(Lens::parameters);
     DVector::from_vec(lens) - DVector::from_vec(other)
+}
+
+/// Where a walk begins.
+#[derive(Clone, Copy)]
+struct WalkStart<'a> {
+    /// The plain fit's.
+    state: &'a State,
+    /// Effects that were found with other lenses or poses.
+    found: Option<&'a EffectsFit>,
+}
+
+impl WalkStart<'_> {
+    fn settled(&self, scene: Scene<'_>, wanted: Wanted) -> Option<EffectSearch> {
+        let state = self.state.clone();
+        let walk = match self.found {
+            Some(found) => EffectSearch::from_found(scene, state, found, wanted),
+            None => EffectSearch::start(scene, state, wanted),
+        };
+        walk?.settled(scene, wanted)
+    }
+
+    /// A walk that settled, its motion weighed against none unless it is wanted for certain.
+    fn weighed(&self, scene: Scene<'_>, wanted: Wanted, width: f64) -> Option<Weighed> {
+        let walk = self.settled(scene, wanted)?;
+        if !walk.moves() || wanted.motion_for_certain {
+            return Some(Weighed { walk, without: None, shutter_doubt: None });
+        }
+        let still = || {
+            let still = self.settled(scene, Wanted { motion: false, ..wanted });
+            still.or_else(|| EffectSearch::bare(scene, self.state.clone()))
+        };
+        Weighed::of(walk, still, scene, width)
+    }
+}
+
+/// A walk, and the corners and views that are believed beside it.
+struct CornersChosen {
+    walk: EffectSearch,
+    corners: Corners,
+    good: Vec<usize>,
+}
+
+impl CornersChosen {
+    /// Chooses corners by what `walk` leaves of them, and goes on from there, one after the other
+    /// until the choice stays. `None` where too few views are good. With `readmits`, views that the plain fit
+    /// had rejected come back in the first round where the effects explain them. `whole` is the
+    /// scene of the plain fit, without views.
+    fn beside(
+        mut walk: EffectSearch,
+        plain: &CameraFit,
+        whole: Scene<'_>,
+        wanted: Wanted,
+        readmits: bool,
+    ) -> Option<Self> {
+        let mut corners = Corners {
+            observations: plain.observations.clone(),
+            faults: plain.faults.clone(),
+            limit: plain.robust.limit,
+        };
+        let mut good = plain.good_views();
+        for round in 0..MAX_ROUNDS {
+            if round > 0 {
+                let scene = Scene { observations: &corners.observations, good: &good, ..whole };
+                walk = walk.again(scene)?.settled(scene, wanted)?;
+            }
+            let residuals = std::mem::take(&mut walk.system.residuals);
+            corners.limit = LIMIT * scale_of(&corners.observations, &residuals).max(ROUNDING);
+            let readmitted = round == 0 && readmits && walk.readmit(whole, &mut corners);
+            let Corners { observations, faults, limit } = &mut corners;
+            if !select(observations, &residuals, *limit, faults) && !readmitted {
+                break;
+            }
+            good = (0..faults.len()).filter(|view| faults[*view].is_none()).collect();
+            if good.len() < MIN_VIEWS {
+                return None;
+            }
+        }
+        Some(Self { walk, corners, good })
+    }
 }
 
 /// What the views say without a rolling shutter, where they do not agree on one.
