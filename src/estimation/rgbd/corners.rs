@@ -14,7 +14,7 @@ use crate::estimation::joint::{BoardObservation, FreeLens, Layout, State, moved}
 use crate::estimation::rgbd::covariance_with_shape::covariance_with_shape;
 use crate::estimation::rgbd::motion::{BoardMotion, TimeOffset};
 use crate::estimation::rgbd::pose_jitter::{PoseDifference, PoseJitter, eliminate, pose_part};
-use crate::estimation::rgbd::problem::{DepthLens, RgbdProblem, free, with_origin_at};
+use crate::estimation::rgbd::problem::{DepthLens, RgbdProblem, RgbdView, free, with_origin_at};
 use crate::estimation::robust::Loss;
 use crate::geometry::median::median;
 use crate::geometry::pose::Pose;
@@ -76,46 +76,15 @@ impl CornerBlocks {
     /// infrared starts at what the views' poses have in the middle; or, where `together`, at none:
     /// infrared's lens is then fitted to the boards where color has them.
     pub(super) fn fit_from(problem: &RgbdProblem, together: bool) -> Option<Self> {
-        let corners =
-            || problem.views.iter().flat_map(|view| view.color.iter().chain(&view.infrared));
-        let center = corners().map(|c| c.point_in_board.coords).sum::<Vector3<f64>>()
-            / corners().count().max(1) as f64;
-        let start = State {
-            lenses: vec![problem.color, problem.depth.lens],
-            sensor_from_rig: vec![Pose::identity(), problem.depth_from_color],
-            rig_from_board: problem
-                .views
-                .iter()
-                .map(|view| with_origin_at(&view.color_from_board, &center))
-                .collect(),
-            warp: [0.0; 2],
-        };
-        let mut whole = CornerState {
-            rig: start,
-            offset_s: problem.time_offset.map_or(0.0, |offset| offset.seconds),
-        };
+        let center = middle_of_corners(problem);
+        let start = CornerState::of(problem, &center);
         let mut posed = CornerProblem::of(problem, center)?;
         if !together {
-            posed.start_jitter(&whole);
+            posed.start_jitter(&start);
         }
-        for _ in 0..ROUNDS {
-            let equations = posed.linearized(&whole)?;
-            let stepped = |whole: &CornerState, step: &Step| posed.stepped(whole, step);
-            let linearized = |whole: &CornerState| posed.linearized(whole);
-            let count = posed
-                .observations
-                .iter()
-                .map(|s| 2 * s.used.iter().filter(|used| **used).count())
-                .sum();
-            whole = walk((whole, equations), count, Stop::default(), (linearized, stepped)).0;
-            if posed.reweight(&whole) {
-                break;
-            }
-        }
+        let whole = posed.settle(start)?;
         let equations = posed.linearized(&whole)?;
-        let views: Option<Vec<ReducedView>> =
-            posed.seen_frame_sets().into_iter().map(|k| posed.part(&whole, k)).collect();
-        let by_views = FitCovariance::of_views(equations.global_covariance()?, 1.0, &views?).all();
+        let by_views = posed.covariance(&whole, &equations)?;
         let covariance = match &problem.color_covariance {
             Some(by_itself) => covariance_with_shape(&posed.layout.sensors, by_views, by_itself),
             None => by_views,
@@ -157,6 +126,27 @@ impl CornerBlocks {
         let (at, count) = (layout.lens_at, layout.lens.free.len());
         let by_free = layout.lens.all_by_free(&self.state.lenses[sensor]);
         &by_free * self.covariance.view((at, at), (count, count)) * by_free.transpose()
+    }
+}
+
+/// The mean of the board's points over all corners that were seen.
+fn middle_of_corners(problem: &RgbdProblem) -> Vector3<f64> {
+    let corners = || problem.views.iter().flat_map(|view| view.color.iter().chain(&view.infrared));
+    corners().map(|c| c.point_in_board.coords).sum::<Vector3<f64>>()
+        / corners().count().max(1) as f64
+}
+
+impl CornerState {
+    /// What sensors that were calibrated one by one have, boards about `center`.
+    fn of(problem: &RgbdProblem, center: &Vector3<f64>) -> Self {
+        let board = |view: &RgbdView| with_origin_at(&view.color_from_board, center);
+        let rig = State {
+            lenses: vec![problem.color, problem.depth.lens],
+            sensor_from_rig: vec![Pose::identity(), problem.depth_from_color],
+            rig_from_board: problem.views.iter().map(board).collect(),
+            warp: [0.0; 2],
+        };
+        Self { rig, offset_s: problem.time_offset.map_or(0.0, |offset| offset.seconds) }
     }
 }
 
@@ -205,6 +195,30 @@ impl CornerProblem {
             pose_jitter: PoseJitter { rotation: 1e-10, translation: 1e-10 },
             noise: 1.0,
         })
+    }
+
+    /// The state that fits best; noise, pose jitter and inliers are estimated anew after each fit.
+    fn settle(&mut self, start: CornerState) -> Option<CornerState> {
+        let mut whole = start;
+        for _ in 0..ROUNDS {
+            let equations = self.linearized(&whole)?;
+            let stepped = |whole: &CornerState, step: &Step| self.stepped(whole, step);
+            let linearized = |whole: &CornerState| self.linearized(whole);
+            let used = |s: &BoardObservation| s.used.iter().filter(|used| **used).count();
+            let count = self.observations.iter().map(|s| 2 * used(s)).sum();
+            whole = walk((whole, equations), count, Stop::default(), (linearized, stepped)).0;
+            if self.reweight(&whole) {
+                break;
+            }
+        }
+        Some(whole)
+    }
+
+    /// Of all global parameters, with how views differ in them.
+    fn covariance(&self, whole: &CornerState, equations: &NormalEquations) -> Option<DMatrix<f64>> {
+        let views: Option<Vec<ReducedView>> =
+            self.seen_frame_sets().into_iter().map(|k| self.part(whole, k)).collect();
+        Some(FitCovariance::of_views(equations.global_covariance()?, 1.0, &views?).all())
     }
 
     /// Each board where it was when infrared was taken, as far as its motion says.
