@@ -89,7 +89,7 @@ fn solve(
     check(problem)?;
     let solved = solve_twice(problem, options);
     let solved = solved.map_err(|error| of_lens_or_views(error, problem, options));
-    // What it ended early with is no result, and its reason not the views'.
+    // An interrupted solve has no result, and its error says nothing about the views.
     options.interrupt.check()?;
     solved
 }

@@ -148,7 +148,8 @@ fn moves_projections(
 
 /// The mean per view of the logarithm of how many times smaller the errors of `larger_model` are
 /// than those of `smaller_model`, in standard errors of that mean: each view is weighed by its own
-/// noise, so that those with large errors do not decide alone. ± [`HELD_OUT`] for one view.
+/// noise, so that those with large errors do not decide alone. A single view has no variance: the
+/// answer is [`HELD_OUT`] with the sign of its gain.
 fn gain_in_standard_errors(squares: &[[f64; 2]]) -> f64 {
     let n = squares.len() as f64;
     let logarithm = |square: f64| square.max(f64::MIN_POSITIVE).ln();
