@@ -126,12 +126,28 @@ impl PlaneErrors {
         let [before, after] =
             [&errors.before_m, &errors.after_m].map(|errors| mean_and_rms_m(errors));
         Ok(before.zip(after).and_then(|(before, after)| {
-            let [first, second] = [("before", before), ("after", after)]
-                .map(|(when, [_, rms_m])| format!("{when} {:.2} mm rms", 1e3 * rms_m));
+            let [first, second] =
+                [("before", before), ("after", after)].map(|(when, [_, rms_m])| label(when, rms_m));
             let both = [errors.before_m.as_slice(), errors.after_m.as_slice()];
             let off = |[mean_m, rms_m]: [f64; 2]| OffPlane { mean_m, rms_m };
             let drawn = draw_errors(both, errors.size, [&first, &second])?;
             Some((BeforeAndAfter { before: off(before), after: off(after) }, drawn))
         }))
+    }
+}
+
+/// What is written above the drawing of the errors `before` or `after` correction.
+fn label(when: &str, rms_m: f64) -> String {
+    format!("{when} {:.2} mm rms", 1e3 * rms_m)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::imaging::lettering::can_write;
+
+    #[test]
+    fn labels_have_all_their_letters() {
+        assert!(["before", "after"].iter().all(|when| can_write(&label(when, 0.00123))));
     }
 }

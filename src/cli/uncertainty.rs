@@ -8,7 +8,7 @@ use crate::cli::length::Length;
 use crate::cli::{Failure, output};
 use crate::document::uncertainty::UncertaintyMapDocument;
 use crate::estimation::uncertainty::{Distance, MedianAndWorst, UncertaintyMap};
-use crate::imaging::heat_map::{GridValues, heat_map_png};
+use crate::imaging::heat_map::{GridValues, ONE_SIGMA_PX, heat_map_png};
 
 /// Says how well a calibration knows where things are seen, over the image.
 #[derive(Debug, clap::Args)]
@@ -57,7 +57,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let map = |columns| sensor_uncertainty(sensor, columns, distance).ok_or_else(none);
     if let Some(path) = &args.out {
         let map = map(COLUMNS[1])?;
-        let png = heat_map_png(&drawable(&map), "1 sigma px");
+        let png = heat_map_png(&drawable(&map), ONE_SIGMA_PX);
         write_file(
             path,
             &png.ok_or_else(|| Failure::failed("the heat map cannot be written as PNG"))?,

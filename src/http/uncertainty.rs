@@ -17,7 +17,7 @@ use crate::http::request::{Address, Asked, Parameters, ReadQuery, known_name};
 use crate::http::schemas;
 use crate::http::shared::{Shared, on_a_blocking_thread};
 use crate::imaging::frame::SensorKind;
-use crate::imaging::heat_map::{GridValues, heat_map_png};
+use crate::imaging::heat_map::{GridValues, ONE_SIGMA_PX, heat_map_png};
 
 /// Grid columns along the image's longer side, of the numbers and of the image.
 const COLUMNS: [u32; 2] = [13, 49];
@@ -158,5 +158,5 @@ fn heat_map(sensor: &ImageCalibration, distance: Distance) -> Option<Vec<u8>> {
 fn drawn(map: &UncertaintyMap) -> Option<Vec<u8>> {
     let (cols, rows) = (map.grid.cols as usize, map.grid.rows as usize);
     let values = GridValues { size: map.grid.size, cols, rows, values: &map.std_px };
-    heat_map_png(&values, "1 sigma px")
+    heat_map_png(&values, ONE_SIGMA_PX)
 }

@@ -64,11 +64,7 @@ pub fn draw_board(board: BoardOffsets<'_>) -> Option<RgbImage> {
         draw_arrow(&mut image, from, to, pen);
     }
     let [low, high, longest] = [low, high, longest].map(|meters| meters * 1e3);
-    let lines = [
-        format!("heights {low:.3} dark to {high:.3} mm bright"),
-        format!("arrows {factor:.0} times longer, at most {longest:.3} mm"),
-    ];
-    for (line, row) in lines.iter().zip(0..) {
+    for (line, row) in captions([low, high], factor, longest).iter().zip(0..) {
         draw_label(
             &mut image,
             line,
@@ -77,6 +73,14 @@ pub fn draw_board(board: BoardOffsets<'_>) -> Option<RgbImage> {
         );
     }
     Some(image)
+}
+
+/// What the colors and the arrows mean; heights and the longest arrow in millimeters.
+fn captions([low, high]: [f64; 2], factor: f64, longest: f64) -> [String; 2] {
+    [
+        format!("heights {low:.3} dark to {high:.3} mm bright"),
+        format!("arrows {factor:.0} times longer, at most {longest:.3} mm"),
+    ]
 }
 
 /// As [`draw_board`], as a PNG file; `None` where that cannot be drawn or encoded.
@@ -165,6 +169,7 @@ fn round_below(factor: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::imaging::lettering::can_write;
 
     fn grid() -> Vec<[f64; 3]> {
         (0..54).map(|k| [f64::from(k % 9) * 0.025, f64::from(k / 9) * 0.025, 0.0]).collect()
@@ -192,6 +197,13 @@ mod tests {
             |dy: f64| image.get_pixel(corner.x.round() as u32, (corner.y + dy).round() as u32);
         assert_eq!(white(30.0), &PAPER);
         assert_ne!(white(-10.0), &PAPER);
+    }
+
+    #[test]
+    fn the_captions_have_all_their_letters() {
+        for line in captions([-1.234, 5.678], 200.0, 0.9) {
+            assert!(can_write(&line), "{line}");
+        }
     }
 
     #[test]

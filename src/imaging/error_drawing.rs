@@ -53,7 +53,7 @@ pub fn draw_errors(
 
 /// From too near to too far, with their numbers at both ends.
 fn draw_scale(image: &mut RgbImage, limit_mm: f32, top: u32) {
-    let (near, far) = (format!("-{limit_mm} mm"), format!("{limit_mm} mm"));
+    let [near, far] = scale_ends(limit_mm);
     let ([near_wide, line], far_wide) =
         (label_size(&near, LETTERING), label_size(&far, LETTERING)[0]);
     let (from, to) = (2 * GAP + near_wide, image.width().saturating_sub(2 * GAP + far_wide));
@@ -63,6 +63,10 @@ fn draw_scale(image: &mut RgbImage, limit_mm: f32, top: u32) {
     }
     draw_label(image, &near, (GAP, top), (INK, GROUND, LETTERING));
     draw_label(image, &far, (to + GAP, top), (INK, GROUND, LETTERING));
+}
+
+fn scale_ends(limit_mm: f32) -> [String; 2] {
+    [format!("-{limit_mm} mm"), format!("{limit_mm} mm")]
 }
 
 /// The first and the last column and row that have errors.
@@ -102,6 +106,7 @@ fn color(part: f32) -> Rgb<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::imaging::lettering::can_write;
 
     #[test]
     fn errors_are_drawn_where_they_are_on_one_scale() {
@@ -126,6 +131,7 @@ mod tests {
             [(0.0042_f32, 5.0), (0.0101, 15.0), (0.000_7, 0.7), (-0.05, 50.0), (0.0, 0.01)]
         {
             assert_eq!(limit_mm(&[error_m; 9]), Some(limit), "{error_m}");
+            assert!(scale_ends(limit).iter().all(|text| can_write(text)), "{limit}");
         }
     }
 }

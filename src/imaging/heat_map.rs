@@ -20,6 +20,9 @@ pub struct GridValues<'a> {
     pub values: &'a [Option<f64>],
 }
 
+/// The caption of a map of standard deviations, in pixels.
+pub const ONE_SIGMA_PX: &str = "1 sigma px";
+
 /// The longer side of the drawing, in pixels.
 const LONGER_SIDE: u32 = 800;
 /// The values of the darkest and the brightest color: the same for all drawings, so that they can
@@ -175,6 +178,7 @@ fn color(value: f64) -> Rgb<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::imaging::lettering::can_write;
 
     fn map(values: &[Option<f64>]) -> GridValues<'_> {
         GridValues { size: ImageSize::new(640, 480), cols: 9, rows: 7, values }
@@ -204,15 +208,17 @@ mod tests {
             (0.1, "0.1"),
             (300.0, "300"),
         ];
+        assert!(can_write(ONE_SIGMA_PX));
         for (level, text) in table {
             assert_eq!(short(level), text);
+            assert!(can_write(text), "{text}");
         }
     }
 
     #[test]
     fn the_image_is_dark_where_the_value_is_small_with_labeled_contours_between() {
         let values = rising(0.012, 1.5);
-        let image = draw_heat_map(&map(&values), "1 sigma px");
+        let image = draw_heat_map(&map(&values), ONE_SIGMA_PX);
         assert_eq!(image.dimensions(), (800, 600));
         let light = |x: u32| image.get_pixel(x, 300).0.iter().map(|&c| u32::from(c)).sum::<u32>();
         assert!(light(2) < 250 && light(798) > 400, "{} {}", light(2), light(798));
@@ -223,7 +229,7 @@ mod tests {
     #[test]
     fn a_contour_below_the_caption_has_its_label_beside_it() {
         let mut image = RgbImage::from_pixel(200, 100, BLIND);
-        let caption_size = label_size("1 sigma px", LETTERING);
+        let caption_size = label_size(ONE_SIGMA_PX, LETTERING);
         let [width, height] = label_size("0.05", LETTERING);
         let beside = (caption_size[0] + width / 2, 100 - height + height / 2);
         let mut taken = Vec::new();

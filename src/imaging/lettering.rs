@@ -10,7 +10,7 @@ const LETTER: [u32; 2] = [5, 7];
 const ADVANCE: u32 = LETTER[0] + 1;
 
 /// Each letter's rows from its top, the leftmost dot the highest of five bits.
-const FACE: [(char, [u8; 7]); 25] = [
+const FACE: [(char, [u8; 7]); 32] = [
     ('0', [0b01110, 0b10001, 0b10011, 0b10101, 0b11001, 0b10001, 0b01110]),
     ('1', [0b00100, 0b01100, 0b00100, 0b00100, 0b00100, 0b00100, 0b01110]),
     ('2', [0b01110, 0b10001, 0b00001, 0b00010, 0b00100, 0b01000, 0b11111]),
@@ -22,6 +22,7 @@ const FACE: [(char, [u8; 7]); 25] = [
     ('8', [0b01110, 0b10001, 0b10001, 0b01110, 0b10001, 0b10001, 0b01110]),
     ('9', [0b01110, 0b10001, 0b10001, 0b01111, 0b00001, 0b00010, 0b01100]),
     ('.', [0, 0, 0, 0, 0, 0b01100, 0b01100]),
+    (',', [0, 0, 0, 0, 0b01100, 0b00100, 0b01000]),
     ('-', [0, 0, 0, 0b11111, 0, 0, 0]),
     ('p', [0, 0, 0b11110, 0b10001, 0b11110, 0b10000, 0b10000]),
     ('x', [0, 0, 0b10001, 0b01010, 0b00100, 0b01010, 0b10001]),
@@ -36,7 +37,18 @@ const FACE: [(char, [u8; 7]); 25] = [
     ('o', [0, 0, 0b01110, 0b10001, 0b10001, 0b10001, 0b01110]),
     ('r', [0, 0, 0b10110, 0b11001, 0b10000, 0b10000, 0b10000]),
     ('t', [0b01000, 0b01000, 0b11100, 0b01000, 0b01000, 0b01001, 0b00110]),
+    ('d', [0b00001, 0b00001, 0b01111, 0b10001, 0b10001, 0b10001, 0b01111]),
+    ('h', [0b10000, 0b10000, 0b10110, 0b11001, 0b10001, 0b10001, 0b10001]),
+    ('k', [0b10000, 0b10000, 0b10010, 0b10100, 0b11000, 0b10100, 0b10010]),
+    ('l', [0b01100, 0b00100, 0b00100, 0b00100, 0b00100, 0b00100, 0b01110]),
+    ('n', [0, 0, 0b10110, 0b11001, 0b10001, 0b10001, 0b10001]),
+    ('w', [0, 0, 0b10001, 0b10001, 0b10101, 0b10101, 0b01010]),
 ];
+
+/// Whether the face has every letter of `text`, so that none is left blank.
+pub fn can_write(text: &str) -> bool {
+    text.chars().all(|letter| letter == ' ' || glyph(letter).is_some())
+}
 
 /// The width and height of `text` with its border, at `scale` pixels a dot.
 pub fn label_size(text: &str, scale: u32) -> [u32; 2] {
@@ -63,7 +75,7 @@ pub fn draw_label(
         put(x, y, plate);
     }
     for (place, letter) in text.chars().enumerate() {
-        let Some((_, rows)) = FACE.iter().find(|(known, _)| *known == letter) else { continue };
+        let Some(rows) = glyph(letter) else { continue };
         for (x, y) in
             (0..LETTER[1] * scale).flat_map(|y| (0..LETTER[0] * scale).map(move |x| (x, y)))
         {
@@ -72,6 +84,10 @@ pub fn draw_label(
             }
         }
     }
+}
+
+fn glyph(letter: char) -> Option<&'static [u8; 7]> {
+    FACE.iter().find(|(known, _)| *known == letter).map(|(_, rows)| rows)
 }
 
 #[cfg(test)]
@@ -98,6 +114,7 @@ mod tests {
             );
         }
         assert!(written("?").pixels().all(|pixel| *pixel == plate));
+        assert!(can_write("-0.05 px") && !can_write("5?"));
         draw_label(&mut RgbImage::new(3, 3), "0.05 px", (1, 2), (ink, plate, 2));
     }
 }
