@@ -169,6 +169,20 @@ fn a_chain_says_where_each_camera_is_from_the_one_before() {
 }
 
 #[test]
+fn a_chain_states_which_cameras_it_leaves_out() {
+    let exported = export(&rig(), Format::Kalibr, &ExportOptions::default()).unwrap();
+    let note = exported.note.unwrap();
+    assert_eq!(note, "left out, because where it is against left is not known: isolated");
+    let chain = String::from_utf8(exported.bytes).unwrap();
+    assert!(chain.starts_with(&format!("# {note}\ncam0:\n")), "{chain}");
+    assert!(chain.contains("cam1:") && !chain.contains("cam2:"), "{chain}");
+    let urdf = export(&rig(), Format::Urdf, &ExportOptions::default()).unwrap();
+    assert_eq!(urdf.note, Some(note));
+    let placed = Calibration { sensors: rig().sensors[..2].to_vec(), ..rig() };
+    assert_eq!(export(&placed, Format::Kalibr, &ExportOptions::default()).unwrap().note, None);
+}
+
+#[test]
 fn sensors_are_in_the_order_asked_for_or_the_order_is_refused() {
     let mut pair = Calibration { sensors: rig().sensors[..2].to_vec(), ..rig() };
     pair.extrinsics[0].target_from_source =

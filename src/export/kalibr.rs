@@ -4,7 +4,7 @@ use crate::calibration::result::Calibration;
 use crate::calibration::sensor::SensorId;
 use crate::export::format::models;
 use crate::export::number::list;
-use crate::export::sensors::{self, Sensor, without_skew};
+use crate::export::sensors::{self, Sensor, left_out, without_skew};
 use crate::export::{ExportError, Format, refit};
 use crate::geometry::lens::model::KalibrModel;
 use crate::geometry::lens::{Lens, LensModel};
@@ -15,8 +15,11 @@ use crate::imaging::frame::SensorKind;
 const WORST_REFIT_PX: f64 = 0.5;
 
 /// The cameras of a chain: color and infrared (the depth sensor where there is no infrared
-/// image), or a rig's.
-pub(super) fn chain_of(calibration: &Calibration) -> Result<Vec<Sensor<'_>>, ExportError> {
+/// image), or a rig's; and which are left out, because their places are not known.
+pub(super) fn chain_of(
+    calibration: &Calibration,
+) -> Result<(Vec<Sensor<'_>>, Option<String>), ExportError> {
+    let none = ExportError::NoSensor { format: Format::Kalibr };
     let mut cameras = sensors::all(calibration);
     let seen_by = |sensor: &Sensor<'_>| {
         let infrared = SensorId { kind: SensorKind::Infrared, ..sensor.id.clone() };
@@ -24,23 +27,26 @@ pub(super) fn chain_of(calibration: &Calibration) -> Result<Vec<Sensor<'_>>, Exp
     };
     cameras.retain(|sensor| sensor.id.kind != SensorKind::Depth || !seen_by(sensor));
     match cameras.as_slice() {
-        [] => Err(ExportError::NoSensor { format: Format::Kalibr }),
-        [only] if only.rms_px.is_none() => Err(ExportError::NoSensor { format: Format::Kalibr }),
-        [_] => Ok(cameras),
+        [] => Err(none),
+        [only] if only.rms_px.is_none() => Err(none),
+        [_] => Ok((cameras, None)),
         _ => {
-            cameras.retain(|sensor| sensor.first_from_sensor.is_some());
-            Ok(cameras)
+            let (placed, open): (Vec<_>, Vec<_>) =
+                cameras.into_iter().partition(|sensor| sensor.first_from_sensor.is_some());
+            let note = left_out(placed.first().ok_or(none)?, &open);
+            Ok((placed, note))
         }
     }
 }
 
-/// The chain of `cameras`, and what its reader must know. A lens with more coefficients than
-/// `radtan` has is refitted.
+/// The chain of `cameras`, and what its reader must know, `left_out` before all. A lens with more
+/// coefficients than `radtan` has is refitted.
 pub(super) fn camera_chain(
     camera: &str,
     cameras: &[Sensor<'_>],
+    left_out: Option<String>,
 ) -> Result<(String, Option<String>), ExportError> {
-    let (mut text, mut notes) = (String::new(), Vec::new());
+    let (mut text, mut notes) = (String::new(), Vec::from_iter(left_out));
     for (k, sensor) in cameras.iter().enumerate() {
         without_skew(sensor, Format::Kalibr)?;
         let (model, lens, note) = held_lens(sensor)?;

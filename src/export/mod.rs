@@ -81,12 +81,11 @@ pub fn export(
             (stereo::opencv_matrices(calibration, options)?, camera.to_owned(), None)
         }
         Format::Kalibr => {
-            let (text, note) = match &options.sensor {
-                Some(asked) => {
-                    kalibr::camera_chain(camera, &asked_sensors(calibration, format, asked)?)?
-                }
-                None => kalibr::camera_chain(camera, &kalibr::chain_of(calibration)?)?,
+            let (cameras, left_out) = match &options.sensor {
+                Some(asked) => (asked_sensors(calibration, format, asked)?, None),
+                None => kalibr::chain_of(calibration)?,
             };
+            let (text, note) = kalibr::camera_chain(camera, &cameras, left_out)?;
             (text, camera.to_owned(), note)
         }
         Format::Colmap => {

@@ -179,10 +179,18 @@ pub(super) fn placed_sensors(
     if placed.len() < 2 {
         return Err(ExportError::NoPlaces { format });
     }
-    let names = names(&open);
-    let note =
-        format!("left out, because where it is against {} is not known: {names}", placed[0].name);
-    Ok((placed, (!open.is_empty()).then_some(note)))
+    let note = left_out(&placed[0], &open);
+    Ok((placed, note))
+}
+
+/// That the `open` sensors are left out, whose places in the frame of the `first` one are not
+/// known; `None` of none.
+pub(super) fn left_out(first: &Sensor<'_>, open: &[Sensor<'_>]) -> Option<String> {
+    let note = || {
+        let (first, open) = (&first.name, names(open));
+        format!("left out, because where it is against {first} is not known: {open}")
+    };
+    (!open.is_empty()).then(note)
 }
 
 /// # Errors
