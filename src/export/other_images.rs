@@ -84,23 +84,17 @@ pub fn for_other_images(
                 .map_err(|error| OtherImagesError::Region { sensor: name, error })?;
         }
     }
-    let scale = changed.image_sensors().zip(calibration.image_sensors()).next();
-    let scale = scale.map_or(1.0, |((_, new), (_, old))| scale_between(old, new, other));
+    // How many pixels of the new images lie across one of the old ones: the focal length says it
+    // also where a crop is scaled back to the old size. The error is the worst sensor's, which may
+    // be any, so that the largest scale bounds it.
+    let scales = changed.image_sensors().zip(calibration.image_sensors());
+    let scales = scales.map(|((_, new), (_, old))| new.lens.matrix.fx / old.lens.matrix.fx);
+    let scale = scales.reduce(f64::max).unwrap_or(1.0);
     changed.checks = Checks {
         held_out_rms_px: calibration.checks.held_out_rms_px.map(|rms| rms * scale),
         ..calibration.checks
     };
     Ok(changed)
-}
-
-/// How many pixels of the new images lie across one of the old ones.
-fn scale_between(old: &ImageCalibration, new: &ImageCalibration, other: &OtherImages) -> f64 {
-    let shown = other.crop.map_or(old.image_size, |crop| crop.size);
-    if old.image_size == new.image_size {
-        1.0
-    } else {
-        f64::from(new.image_size.width) / f64::from(shown.width)
-    }
 }
 
 fn sensor_for(
@@ -203,6 +197,31 @@ mod tests {
             (sensor.lens.matrix.fx, sensor.lens.matrix.cx - 40.0)
         );
         assert_eq!(part.lens.matrix.cy, sensor.lens.matrix.cy - 20.0);
+    }
+
+    #[test]
+    fn a_crop_scaled_to_the_old_size_has_larger_errors() {
+        let whole = example();
+        let sensor = whole.color().unwrap();
+        let crop = ImageRegion { left: 160, top: 120, size: ImageSize::new(320, 240) };
+        let other = OtherImages { crop: Some(crop), size: Some(sensor.image_size), sensor: None };
+        let enlarged = for_other_images(&whole, &other).unwrap();
+        let larger = enlarged.color().unwrap();
+        assert_eq!(larger.image_size, sensor.image_size);
+        assert!((larger.rms_px - 2.0 * sensor.rms_px).abs() < 1e-12);
+        let held_out = |calibration: &Calibration| calibration.checks.held_out_rms_px.unwrap();
+        assert!((held_out(&enlarged) - 2.0 * held_out(&whole)).abs() < 1e-12);
+
+        // Of one of two sensors: the error may be the one's or the other's.
+        let two = with_infrared(example(), sensor);
+        let of_infrared = |width: u32, height: u32| OtherImages {
+            sensor: Some("infrared".to_owned()),
+            ..scaled_to(ImageSize::new(width, height))
+        };
+        for (other, scale) in [(of_infrared(1280, 960), 2.0), (of_infrared(320, 240), 1.0)] {
+            let scaled = for_other_images(&two, &other).unwrap();
+            assert!((held_out(&scaled) - scale * held_out(&two)).abs() < 1e-12);
+        }
     }
 
     #[test]
