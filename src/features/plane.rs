@@ -35,7 +35,7 @@ impl Plane {
     pub fn doubled(&self) -> Self {
         let (width, height) = (2 * self.width, 2 * self.height);
         let mut doubled = Self::zeros(width, height);
-        for (y, row) in doubled.values.chunks_exact_mut(width).enumerate() {
+        for (y, row) in doubled.values.chunks_exact_mut(width.max(1)).enumerate() {
             let (above, below) = (self.row(y / 2), self.row(y.div_ceil(2).min(self.height - 1)));
             for (x, value) in row.iter_mut().enumerate() {
                 let (left, right) = (x / 2, x.div_ceil(2).min(self.width - 1));
@@ -76,7 +76,7 @@ impl pulp::NullaryFnOnce for Blur<'_> {
         let Self { source, kernel, into } = self;
         let (width, height, radius) = (source.width, source.height, kernel.len() - 1);
         let mut padded = vec![0.0_f32; width + 2 * radius];
-        for (y, out) in into.values.chunks_exact_mut(width).enumerate() {
+        for (y, out) in into.values.chunks_exact_mut(width.max(1)).enumerate() {
             // Down the columns first, a whole row at a time, into the padded row.
             let middle = &mut padded[radius..radius + width];
             let above = |k: usize| source.row(y.saturating_sub(k));

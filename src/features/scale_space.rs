@@ -12,8 +12,8 @@ pub(super) const BASE_SIGMA: f64 = 1.6;
 /// The blur a photograph comes with, in its pixels (Lowe 2004, section 3.3).
 const CAMERA_SIGMA: f64 = 0.5;
 
-/// Images with at most this many pixels are doubled first, for the finest details; larger ones
-/// have keypoints enough without.
+/// Images with at most this many pixels, whose doubled side is no longer than [`LONGEST_SIDE`], are
+/// doubled first, for the finest details; larger ones have keypoints enough without.
 const DOUBLED_PIXELS: usize = 700_000;
 
 /// Images with a side longer than this are halved first: what is smaller than two pixels there is
@@ -51,7 +51,9 @@ impl Octaves {
             }
         }
         let (mut spacing, mut offset, mut blur) = (1.0, 0.0, CAMERA_SIGMA);
-        if plane.values.len() <= DOUBLED_PIXELS {
+        // What is doubled must not be halved at once: that is only blur, a quarter of a pixel off.
+        let is_short = 2 * plane.width.max(plane.height) <= LONGEST_SIDE;
+        if plane.values.len() <= DOUBLED_PIXELS && is_short {
             plane = plane.doubled();
             (spacing, blur) = (0.5, 2.0 * CAMERA_SIGMA);
         }
@@ -89,11 +91,43 @@ impl Iterator for Octaves {
 fn mean_of_four(plane: &Plane) -> Plane {
     let (width, height) = (plane.width / 2, plane.height / 2);
     let mut half = Plane::zeros(width, height);
-    for (y, row) in half.values.chunks_exact_mut(width).enumerate() {
+    for (y, row) in half.values.chunks_exact_mut(width.max(1)).enumerate() {
         let (above, below) = (plane.row(2 * y), plane.row(2 * y + 1));
         for (x, value) in row.iter_mut().enumerate() {
             *value = 0.25 * (above[2 * x] + above[2 * x + 1] + below[2 * x] + below[2 * x + 1]);
         }
     }
     half
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::imaging::gray::GrayImage;
+
+    #[test]
+    fn images_are_doubled_or_halved_and_never_both() {
+        // Width and height; the first octave's width, spacing and offset.
+        let table = [
+            ((640, 480), (1280, 0.5, 0.0)),
+            ((1200, 500), (2400, 0.5, 0.0)),
+            ((1241, 376), (1241, 1.0, 0.0)),
+            ((376, 1241), (376, 1.0, 0.0)),
+            ((2600, 100), (1300, 2.0, 0.5)),
+        ];
+        for ((width, height), expected) in table {
+            let image = GrayImage::filled(width, height, 90);
+            let first = Octaves::of(image.view()).next().expect("an octave");
+            let found = (first.gaussians[0].width, first.spacing_px, first.offset_px);
+            assert_eq!(found, expected, "{width}x{height}");
+        }
+    }
+
+    #[test]
+    fn images_of_single_lines_have_no_octaves() {
+        for (width, height) in [(1, 2500), (2500, 1), (1, 1), (0, 0)] {
+            let image = GrayImage::filled(width, height, 90);
+            assert!(Octaves::of(image.view()).next().is_none(), "{width}x{height}");
+        }
+    }
 }
