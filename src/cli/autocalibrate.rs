@@ -16,7 +16,7 @@ use crate::cli::sources::FrameSets;
 use crate::cli::{Failure, output, progress};
 use crate::document::scene::SceneCalibrationDocument;
 use crate::estimation::problem::GivenParameter;
-use crate::export::colmap_scene;
+use crate::export::colmap_scene::{ColmapScene, colmap_scene};
 use crate::geometry::lens::Lens;
 use crate::imaging::depth_image::DepthImage;
 use crate::imaging::point_cloud::{CloudPoint, to_ply};
@@ -128,8 +128,12 @@ fn write_colmap(folder: &Path, calibration: &SceneCalibration) -> Result<(), Fai
     std::fs::create_dir_all(folder).map_err(|error| {
         Failure::failed(format!("{}: cannot be made ({error})", folder.display()))
     })?;
-    for (name, text) in colmap_scene::files(calibration).map_err(Failure::failed)? {
+    let ColmapScene { files, note } = colmap_scene(calibration).map_err(Failure::failed)?;
+    for (name, text) in files {
         write_file(&folder.join(name), text.as_bytes())?;
+    }
+    if let Some(note) = note {
+        tracing::warn!("{}: {note}", folder.display());
     }
     Ok(())
 }
