@@ -10,7 +10,7 @@ use crate::calibration::session::camera::CameraPart;
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
 use crate::calibration::view::View;
 use crate::cli::in_order::in_order;
-use crate::cli::search::{SearchedImage, searcher};
+use crate::cli::search::{SearchedImage, searcher, warn_of_rotation};
 use crate::cli::search_args::SearchArgs;
 use crate::cli::sources::{FrameSets, Unreadable};
 use crate::cli::{Failure, progress};
@@ -35,6 +35,8 @@ pub struct ImageGathering {
     images: Vec<Result<BoardView, (String, String)>>,
     session: Option<(String, Session)>,
     searched: usize,
+    /// How many of them state a rotation, which is not applied.
+    rotated: usize,
     /// Of images without the target: why, and the line that names the image too.
     reasons: Vec<(String, String)>,
     /// Of the first image that shows the target.
@@ -50,6 +52,7 @@ impl ImageGathering {
             images: Vec::new(),
             session: None,
             searched: 0,
+            rotated: 0,
             reasons: Vec::new(),
             markers: None,
         }
@@ -64,6 +67,7 @@ impl ImageGathering {
         match image {
             Ok(image) => {
                 check_size(&mut self.size, &image)?;
+                self.rotated += usize::from(image.states_rotation);
                 let seen = image.answer.as_ref().ok();
                 self.markers = self.markers.or(seen.and_then(|seen| seen.markers));
                 if let Err(no_board) = &image.answer {
@@ -193,6 +197,7 @@ pub fn gather(args: &SearchArgs, target: Target) -> Result<ImageGathering, Failu
         },
     )?;
     spinner.finish_and_clear();
+    warn_of_rotation(gathered.rotated, gathered.searched);
     Ok(gathered)
 }
 

@@ -19,7 +19,7 @@ use crate::cli::estimated::GivenLens;
 use crate::cli::files::read_calibration;
 use crate::cli::gather::{check_size, same_as, unused};
 use crate::cli::in_order::in_order;
-use crate::cli::search::{SearchedImage, searcher};
+use crate::cli::search::{SearchedImage, searcher, warn_of_rotation};
 use crate::cli::search_args::SearchArgs;
 use crate::cli::sources::{FrameSets, Unreadable};
 use crate::cli::verified::same_size;
@@ -145,6 +145,8 @@ impl SearchedSource {
             },
         )?;
         spinner.finish_and_clear();
+        let rotated = all.images.iter().filter(|image| image.states_rotation).count();
+        warn_of_rotation(rotated, all.images.len());
         if let (true, Some((_, view))) = (all.images.is_empty(), unreadable.first()) {
             let reason = view.reason.as_deref().unwrap_or_default();
             return Err(Failure::failed(format!(

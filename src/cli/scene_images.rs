@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use crate::calibration::scene::correspondence::SceneImage;
 use crate::cli::in_order::in_order;
+use crate::cli::search::warn_of_rotation;
 use crate::cli::sources::{FrameSets, SourcedFrames, Unreadable};
 use crate::cli::{Failure, progress};
 use crate::imaging::decode;
@@ -11,7 +12,7 @@ use crate::imaging::depth_image::DepthImage;
 use crate::imaging::frame::SensorKind;
 use crate::imaging::gray::GrayImage;
 use crate::imaging::nominal_focal::{NominalFocal, nominal_focal};
-use crate::imaging::stated_camera::stated_camera;
+use crate::imaging::stated_camera::{stated_camera, states_rotation};
 
 /// Images used at most: of more, as of a video, every so manyth is taken.
 const MAX_IMAGES: usize = 60;
@@ -31,6 +32,7 @@ struct ReadImage {
     image: SceneImage,
     depth: Option<Arc<DepthImage>>,
     nominal_focal: Option<NominalFocal>,
+    states_rotation: bool,
 }
 
 /// Finds the features of the images that `frame_sets` gives, called once to count them. Frame sets
@@ -49,6 +51,7 @@ pub(super) fn scene_images<'a>(
     let is_taken = |frames: &Result<SourcedFrames, Unreadable>| count == 0 || has_image(frames);
     let step = count.div_ceil(MAX_IMAGES).max(1);
     let (mut images, mut depth, mut focals) = (Vec::new(), Vec::new(), Vec::new());
+    let mut rotated = 0;
     let spinner = progress::spinner("finding features");
     in_order(
         frame_sets().filter(is_taken).step_by(step),
@@ -65,10 +68,12 @@ pub(super) fn scene_images<'a>(
             images.push(read.image);
             depth.push(read.depth);
             focals.push(read.nominal_focal);
+            rotated += usize::from(read.states_rotation);
             Ok::<(), Failure>(())
         },
     )?;
     spinner.finish_and_clear();
+    warn_of_rotation(rotated, images.len());
     let alike = focals.windows(2).all(|pair| pair[0] == pair[1]);
     let nominal_focal = focals.first().copied().flatten().filter(|_| alike);
     Ok(SceneImages { images, depth, nominal_focal })
@@ -87,5 +92,6 @@ fn scene_image(frames: &SourcedFrames) -> Result<ReadImage, String> {
     let nominal_focal = nominal_focal(&frame.bytes, luma.size());
     let mut image = SceneImage::of(name, luma.view());
     image.stated = stated_camera(&frame.bytes);
-    Ok(ReadImage { image, depth: depth.map(Arc::new), nominal_focal })
+    let states_rotation = states_rotation(&frame.bytes);
+    Ok(ReadImage { image, depth: depth.map(Arc::new), nominal_focal, states_rotation })
 }

@@ -11,6 +11,7 @@ use crate::geometry::target::Target;
 use crate::imaging::decode::luma;
 use crate::imaging::frame::SensorKind;
 use crate::imaging::gray::GrayImage;
+use crate::imaging::stated_camera::states_rotation;
 
 /// An image that was searched for the board.
 #[derive(Debug)]
@@ -23,6 +24,8 @@ pub struct SearchedImage {
     pub frame: FrameFacts,
     /// The board found in it, or why there is none.
     pub answer: Result<Detection, NoBoard>,
+    /// Whether its file states a rotation, which is not applied.
+    pub states_rotation: bool,
     /// Duration of the search, the fastest of all repeats, in milliseconds; without decoding.
     pub elapsed_ms: f64,
 }
@@ -52,7 +55,10 @@ pub fn searcher(
         for _ in 1..repeat {
             elapsed_ms = elapsed_ms.min(search().1);
         }
-        Ok(SearchedImage { path, recording: frames.recording, frame, answer, elapsed_ms })
+        let color = frames.image_of(SensorKind::Color);
+        let states_rotation = color.is_ok_and(|frame| states_rotation(&frame.bytes));
+        let recording = frames.recording;
+        Ok(SearchedImage { path, recording, frame, answer, states_rotation, elapsed_ms })
     }
 }
 
@@ -70,4 +76,46 @@ pub(super) fn frame_facts(frames: &SourcedFrames, image_size: ImageSize) -> Fram
 /// The luma of the color image, else of the infrared one.
 pub(super) fn read_luma(frames: &SourcedFrames, image: &mut GrayImage) -> Result<(), String> {
     luma(frames.image_of(SensorKind::Color)?, image).map_err(|error| error.to_string())
+}
+
+/// Warns where `rotated` of so many images state a rotation: other programs apply it, and the
+/// calibration does not hold for what they read.
+pub(super) fn warn_of_rotation(rotated: usize, images: usize) {
+    if rotated > 0 {
+        tracing::warn!(
+            "{rotated} of {images} images state a rotation (EXIF) that is not applied: read them with cv2.IMREAD_IGNORE_ORIENTATION"
+        );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use image::ImageFormat;
+
+    use super::*;
+    use crate::cli::sources::FrameSets;
+    use crate::geometry::board::{BoardSize, Chessboard};
+    use crate::imaging::stated_camera::tests::with_orientation;
+
+    #[test]
+    fn a_rotation_that_a_photograph_states_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut plain = std::io::Cursor::new(Vec::new());
+        image::GrayImage::new(64, 48).write_to(&mut plain, ImageFormat::Jpeg).unwrap();
+        let plain = plain.into_inner();
+        let board = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.025).unwrap();
+        let target = Target::Chessboard(board);
+        let mut search = searcher(&target, DetectOptions::default(), 1);
+        for (orientation, expected) in [(1, false), (6, true)] {
+            let exif = [b"Exif\0\0".as_slice(), &with_orientation(orientation)].concat();
+            let length = (2 + exif.len() as u16).to_be_bytes();
+            let file = [&plain[..2], &[0xff, 0xe1], &length, &exif, &plain[2..]].concat();
+            let path = folder.path().join("photograph.jpg");
+            std::fs::write(&path, file).unwrap();
+            let mut frames = FrameSets::new(std::iter::once(path.display().to_string()));
+            let image = search(frames.next().unwrap()).unwrap();
+            assert_eq!(image.states_rotation, expected, "{orientation}");
+            assert_eq!(image.frame.image_size, ImageSize::new(64, 48));
+        }
+    }
 }

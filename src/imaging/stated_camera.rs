@@ -33,6 +33,17 @@ pub fn stated_camera(file: &[u8]) -> Option<StatedCamera> {
     Some(StatedCamera { camera, focal_mm: focal_mm(&exif), image_size })
 }
 
+/// Whether the EXIF attributes state that the image must be rotated or mirrored to be upright. It
+/// is not: a lens holds for the pixels as the sensor gave them.
+pub fn states_rotation(file: &[u8]) -> bool {
+    let exif = Reader::new().read_from_container(&mut Cursor::new(file)).ok();
+    let orientation = exif.and_then(|exif| {
+        exif.get_field(Tag::Orientation, In::PRIMARY).and_then(|field| field.value.get_uint(0))
+    });
+    // 1 is upright; 2 to 8 are the other ways (EXIF 2.3, tag 0x0112); others have no meaning.
+    orientation.is_some_and(|orientation| (2..=8).contains(&orientation))
+}
+
 fn text(exif: &Exif, tag: Tag) -> Option<String> {
     let Value::Ascii(lines) = &exif.get_field(tag, In::PRIMARY)?.value else { return None };
     let text = String::from_utf8_lossy(lines.first()?);
@@ -48,11 +59,32 @@ fn focal_mm(exif: &Exif) -> Option<f64> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use exif::experimental::Writer;
     use exif::{Field, Rational};
 
     use super::*;
+
+    /// EXIF attributes as a TIFF file.
+    fn tiff(fields: &[Field]) -> Vec<u8> {
+        let (mut writer, mut tiff) = (Writer::new(), Cursor::new(Vec::new()));
+        fields.iter().for_each(|field| writer.push_field(field));
+        writer.write(&mut tiff, false).unwrap();
+        tiff.into_inner()
+    }
+
+    /// EXIF attributes that state an orientation, as a TIFF file.
+    pub(crate) fn with_orientation(orientation: u16) -> Vec<u8> {
+        let value = Value::Short(vec![orientation]);
+        tiff(&[Field { tag: Tag::Orientation, ifd_num: In::PRIMARY, value }])
+    }
+
+    #[test]
+    fn all_but_upright_is_a_rotation() {
+        let stated = (0..10).filter(|orientation| states_rotation(&with_orientation(*orientation)));
+        assert_eq!(stated.collect::<Vec<_>>(), [2, 3, 4, 5, 6, 7, 8]);
+        assert!(!states_rotation(b"P5 2 2 255 abcd"));
+    }
 
     #[test]
     fn the_camera_its_lens_and_the_size_it_wrote_are_read() {
@@ -65,10 +97,7 @@ mod tests {
             field(Tag::PixelXDimension, Value::Long(vec![3000])),
             field(Tag::PixelYDimension, Value::Long(vec![2000])),
         ];
-        let (mut writer, mut tiff) = (Writer::new(), Cursor::new(Vec::new()));
-        fields.iter().for_each(|field| writer.push_field(field));
-        writer.write(&mut tiff, false).unwrap();
-        let found = stated_camera(&tiff.into_inner()).unwrap();
+        let found = stated_camera(&tiff(&fields)).unwrap();
         assert_eq!(found.camera.as_deref(), Some("Maker M 5"));
         assert_eq!(found.focal_mm, Some(18.5));
         assert_eq!(found.image_size, Some(ImageSize::new(3000, 2000)));
