@@ -19,6 +19,8 @@ pub(super) struct DistortionLookup {
 
 /// Cells along each side.
 const CELLS: usize = 159;
+/// The least place in cells that [`cell`] splits; what is before it is beyond the image.
+const LEAST: f32 = 0.25;
 
 impl DistortionLookup {
     /// Over what the lens sees of an image of `size`, and a little more.
@@ -57,7 +59,7 @@ impl DistortionLookup {
     pub(crate) fn pixel(&self, x: f32, y: f32) -> [f32; 2] {
         let (u, v) = ((x - self.low[0]) * self.per_unit[0], (y - self.low[1]) * self.per_unit[1]);
         const END: f32 = CELLS as f32;
-        if !(u >= 0.0 && v >= 0.0 && u < END && v < END) {
+        if !(u >= LEAST && v >= LEAST && u < END && v < END) {
             return [f32::NAN; 2];
         }
         let ((column, s), (row, t)) = (cell(u), cell(v));
@@ -69,9 +71,9 @@ impl DistortionLookup {
     }
 }
 
-/// The whole part of a `value` from 0 to 2²² and what is left of it; at a whole number either the
-/// one before it and 1, or itself and 0. Added to 2²³ a value has no binary places left, which
-/// costs less than a conversion that minds what does not fit.
+/// The whole part of a `value` from [`LEAST`] to 2²² and the rest of it; at a whole number either
+/// the one before it and 1, or itself and 0. Half less than the value, added to 2²³, is rounded to
+/// a whole number, which costs less than a conversion that minds what does not fit.
 #[inline]
 fn cell(value: f32) -> (usize, f32) {
     const BINARY_PLACES: u32 = 23;
@@ -108,6 +110,21 @@ pub(super) fn seen(lens: &Lens, size: ImageSize) -> [Vector2<f64>; 2] {
 mod tests {
     use super::*;
     use crate::geometry::lens::LensModel;
+
+    #[test]
+    fn places_are_split_from_the_least_one_on() {
+        for (value, expected) in [
+            (LEAST, (0, LEAST)),
+            (0.75, (0, 0.75)),
+            (1.25, (1, 0.25)),
+            (158.5, (158, 0.5)),
+            (4_194_303.5, (4_194_303, 0.5)),
+        ] {
+            assert_eq!(cell(value), expected, "{value}");
+        }
+        // Half less than it, added to 2²³, is below that: the bits are no index.
+        assert!(cell(0.24).0 > CELLS);
+    }
 
     #[test]
     fn the_lookup_is_the_lens() {

@@ -59,8 +59,8 @@ impl Pen {
     }
 }
 
-/// Draws the corners of a board, `cols` in a row: a line through them in their order, a ring around
-/// each, the first one in another color and larger. Every corner that is not a number is left out.
+/// Draws the corners of a board: a line through them in their order and a ring around each, the
+/// first larger and in another color. A corner that is not finite is left out.
 pub fn draw_corners(image: &mut RgbImage, corners: &[Pixel]) {
     let pen = Pen::fitting(image, FOUND);
     let thin = Pen { width_px: pen.width_px * 0.6, ..pen };

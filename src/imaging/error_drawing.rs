@@ -6,7 +6,7 @@ use image::{Rgb, RgbImage};
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::lettering::{draw_label, label_size};
 
-/// The longer side of each drawing, in pixels.
+/// Drawings are enlarged by whole factors up to this longer side, in pixels; larger ones stay.
 const LONGER_SIDE: u32 = 400;
 /// Between the drawings and around them.
 const GAP: u32 = 16;

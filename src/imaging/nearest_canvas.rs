@@ -246,8 +246,8 @@ impl<T: HeldDepth> NearestCanvas<T> {
     }
 }
 
-/// A value of 0 to 2²² and 2²³ has no binary places: what is left of the sum's bits is the whole
-/// number nearest to the value. It costs less than a conversion that minds what does not fit.
+/// Added to 2²³, a value from 0 to 2²² is rounded to a whole number, which is then the low bits of
+/// the sum. It costs less than a conversion that minds what does not fit.
 #[inline(always)]
 fn whole(value: f32) -> u32 {
     const BINARY_PLACES: u32 = 23;

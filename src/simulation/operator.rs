@@ -47,8 +47,8 @@ impl OperatorKind {
 }
 
 /// What a person can do. The figures are those of unhurried adults: choice reactions take 0.5 to 1
-/// s with an image to understand first, and hands at rest tremble by a few tenths of a millimeter
-/// at 8 to 12 Hz, slower drifts included here.
+/// s with an image to understand first, and hands at rest drift by a few tenths of a millimeter,
+/// here at 1.1 to 2.9 Hz. Tremor proper, at 8 to 12 Hz, is not simulated.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Skill {
     /// From a request to the beginning of the movement, in seconds; and its standard deviation.

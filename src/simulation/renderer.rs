@@ -313,8 +313,8 @@ mod tests {
     fn an_edge_has_the_light_of_its_exact_integral() {
         let mut renderer = renderer(Lens::pinhole(matrix()), 0.8);
         for translation in [0.0, 0.003, 0.017] {
-            // Upright at 2 m: squares of 4 px. Along the middle of a dark square of row −1 … an
-            // edge at board x = 0.
+            // Upright at 0.4 m: squares of 20 px. Along the middle of the first row of squares
+            // below the first corner: an edge at board x = 0.
             let camera_from_board =
                 Pose::from_axis_angle(Vector3::zeros(), Vector3::new(translation, 0.0, 0.4));
             let lit = renderer.illumination(&camera_from_board);

@@ -107,7 +107,8 @@ impl Walk {
     /// The `index`-th place. Positions in the image and tilts follow low-discrepancy sequences,
     /// so that any run of places covers the image and every tilt evenly.
     fn place(&self, index: u64) -> Pose {
-        // The powers of the plastic number's inverse: Roberts' R2 and R3 sequences.
+        // Roberts' R2 sequence (powers of the plastic number's inverse) for the position; for tilt
+        // and its axis the golden ratio's inverse and √2 − 1, each a sequence of its own.
         let spread = |step: f64, start: f64| (start + step * (index as f64 + 1.0)).fract();
         let mut rng = stream(self.seed, Purpose::Waypoint, index);
         let start = (self.seed % 1000) as f64 / 1000.0;

@@ -334,7 +334,7 @@ fn starts(scene: LatticeScene<'_>, seed: &Seed) -> Vec<((i32, i32), bool)> {
     let along = (a - p).norm() + (d - b).norm();
     let across = (b - p).norm() + (d - a).norm();
     // A bright cell lies between a tag and the next, a dark one is a tag or a corner square.
-    // MarkerCell (0, 0) is a tag's, dark unless the board is inverted.
+    // Cell (0, 0) is a tag's, dark unless the board is inverted.
     let mixed = if along > across { [(0, 1), (1, 0)] } else { [(1, 0), (0, 1)] };
     let equal = [(1, 1), (0, 0)];
     if seed.bright {

@@ -1,7 +1,7 @@
 //! A small window laid over the image along two edges: is this where four chessboard squares meet,
 //! and where exactly?
 //!
-//! The window is a parallelogram whose sides follow the board's edges,so a slanted board is
+//! The window is a parallelogram whose sides follow the board's edges, so a slanted board is
 //! square in it. Six by six samples are compared with the pattern sign(a·b); where the pattern
 //! changes sign along each side is the corner.
 
@@ -161,7 +161,7 @@ struct FixedLines<'a> {
     down: [i32; 2],
 }
 
-/// WindowSums over the samples of a window, by their place in the line; the lanes beyond are 0.
+/// Sums over the samples of a window, by their place in the line; the lanes beyond are 0.
 struct WindowSums {
     sums: [f32; LANES],
     squares: [f32; LANES],

@@ -3,7 +3,7 @@
 /// The factors of a corner's standard deviation. Each is 1 where its own evidence is missing.
 ///
 /// Beside an occluder the verification bounds the product from below
-/// (`VerificationThresholds::least_tight_std_px`); it is the only other thing that changes it.
+/// (`CornerThresholds::least_tight_std_px`); it is the only other thing that changes it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct CornerStd {
     /// Of the fit: its covariance, with the noise of its own residuals, in pixels per axis.

@@ -251,7 +251,7 @@ struct WindowRows {
     /// Middle per row, and half width, of four bands: two whose meet is the window, two that are
     /// near an edge.
     bands: [[f32; 2]; 4],
-    /// WindowRows −reach … reach may be non-empty.
+    /// Rows −reach … reach may be non-empty.
     reach: i64,
 }
 

@@ -54,7 +54,7 @@ impl Response {
         self.width
     }
 
-    /// RingRows.
+    /// Rows.
     pub(in crate::detection) fn height(&self) -> usize {
         self.height
     }
