@@ -7,7 +7,7 @@ use crate::detection::coded::sheet::Sheets;
 use crate::detection::grid::in_steps;
 use crate::detection::grid::{Grid, Node};
 use crate::detection::measure::cross::{CrossWindow, Vec2};
-use crate::detection::search::candidates::Candidate;
+use crate::detection::search::candidates::{Candidate, edges_along};
 use crate::detection::search::seeds::{Neighborhood, Seed};
 use crate::detection::thresholds::markers::LatticeThresholds;
 use crate::imaging::gray::GrayView;
@@ -225,12 +225,9 @@ impl Expected {
     /// The candidate nearest to it whose edges run as they must: it is nearer to the truth than
     /// what the other crossings predict.
     fn candidate(&self, scene: LatticeScene<'_>, cell: [Vec2; 2]) -> Option<usize> {
-        let way = self.steps.map(|step| step / step.norm().max(1e-3));
-        let edges = if self.polarity > 0.0 { way } else { [way[1], way[0]] };
-        let sine = |a: Vec2, b: Vec2| (a.x * b.y - a.y * b.x).abs();
-        let alike = |candidate: &Candidate| {
-            (0..2).all(|k| sine(candidate.edges[k], edges[k]) < scene.thresholds.most_rotation)
-        };
+        let edges = edges_along(self.steps, self.polarity);
+        let alike =
+            |candidate: &Candidate| candidate.has_edges(edges, scene.thresholds.most_rotation);
         let reach = (scene.thresholds.most_off * cell[0].norm().max(cell[1].norm())).max(1.5);
         scene.neighborhood.nearest(scene.candidates, self.pixel, reach, alike)
     }

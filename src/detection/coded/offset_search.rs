@@ -8,7 +8,7 @@ use nalgebra::{Matrix2, Matrix3, Vector3};
 
 use crate::detection::measure::Probe;
 use crate::detection::measure::cross::Vec2;
-use crate::detection::search::candidates::{Candidate, CandidateSearch};
+use crate::detection::search::candidates::{Candidate, CandidateSearch, edges_along};
 use crate::detection::search::pyramid::Pyramid;
 use crate::detection::search::response::{REACH, Response};
 use crate::detection::thresholds::markers::MarkerTrackingThresholds;
@@ -206,8 +206,5 @@ fn patch_of(image: GrayView<'_>, center: Vec2, half: f32) -> Option<(GrayView<'_
 
 /// Whether the edges of a crossing run as those of the reference, bright where its are.
 fn is_alike(candidate: &Candidate, reference: &ReferenceCorner, most_rotation: f32) -> bool {
-    let [u, v] = reference.cell.map(|step| step / step.norm().max(1e-3));
-    let edges = if reference.polarity > 0.0 { [u, v] } else { [v, u] };
-    let sine = |a: Vec2, b: Vec2| (a.x * b.y - a.y * b.x).abs();
-    (0..2).all(|k| sine(candidate.edges[k], edges[k]) < most_rotation)
+    candidate.has_edges(edges_along(reference.cell, reference.polarity), most_rotation)
 }

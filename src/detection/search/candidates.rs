@@ -27,6 +27,21 @@ pub(in crate::detection) struct Candidate {
     pub contrast: f32,
 }
 
+impl Candidate {
+    /// Whether its edges are these to within an angle of so large a sine, each in its place.
+    pub(in crate::detection) fn has_edges(&self, edges: [Vec2; 2], most_sine: f32) -> bool {
+        let sine = |a: Vec2, b: Vec2| (a.x * b.y - a.y * b.x).abs();
+        (0..2).all(|k| sine(self.edges[k], edges[k]) < most_sine)
+    }
+}
+
+/// The edges of a candidate, in its order, that is a lattice's crossing with these `steps` to its
+/// neighbors and a contrast of the sign of `polarity` between them.
+pub(in crate::detection) fn edges_along(steps: [Vec2; 2], polarity: f32) -> [Vec2; 2] {
+    let [first, second] = steps.map(|step| step / step.norm().max(1e-3));
+    if polarity > 0.0 { [first, second] } else { [second, first] }
+}
+
 /// Finds candidates. Buffers are kept from image to image.
 #[derive(Debug, Default)]
 pub(in crate::detection) struct CandidateSearch {
@@ -319,6 +334,18 @@ mod tests {
             let [first, second] = candidate.edges;
             assert!(first.x * second.y - first.y * second.x > 0.99, "{candidate:?}");
         }
+    }
+
+    #[test]
+    fn edges_run_as_those_of_a_crossing_in_their_order() {
+        let edges = [Vec2::new(1.0, 0.0), Vec2::new(0.0, 1.0)];
+        let candidate = Candidate { pixel: Vec2::zeros(), edges, contrast: 100.0 };
+        let steps = [Vec2::new(9.0, 2.0), Vec2::new(-1.0, 7.0)];
+        assert!(candidate.has_edges(edges_along(steps, 1.0), 0.3));
+        assert!(!candidate.has_edges(edges_along(steps, 1.0), 0.2), "the sine is 0.217");
+        assert!(!candidate.has_edges(edges_along(steps, -1.0), 0.3));
+        let exchanged = Candidate { edges: [edges[1], edges[0]], ..candidate };
+        assert!(exchanged.has_edges(edges_along(steps, -1.0), 0.3));
     }
 
     #[test]

@@ -6,7 +6,7 @@ use crate::detection::measure::Probe;
 use crate::detection::measure::cross::Vec2;
 use crate::detection::measure::edges::is_edge;
 use crate::detection::measure::prediction::Prediction;
-use crate::detection::search::candidates::Candidate;
+use crate::detection::search::candidates::{Candidate, edges_along};
 use crate::detection::search::seeds::Neighborhood;
 
 /// A position beside a corner at which nothing was found, to be searched for farther off.
@@ -70,12 +70,9 @@ impl Stretch {
     ) -> Option<Vec2> {
         let thresholds = &probe.thresholds.stretch;
         let Prediction { expected, steps, polarity, .. } = self.place;
-        let way = |k: usize| steps[k] / steps[k].norm().max(1e-3);
-        let edges = if polarity > 0.0 { [way(0), way(1)] } else { [way(1), way(0)] };
-        let sine = |a: Vec2, b: Vec2| (a.x * b.y - a.y * b.x).abs();
+        let edges = edges_along(steps, polarity);
         let fits = |candidate: &Candidate| {
-            sine(candidate.edges[0], edges[0]) < thresholds.most_rotation
-                && sine(candidate.edges[1], edges[1]) < thresholds.most_rotation
+            candidate.has_edges(edges, thresholds.most_rotation)
                 && in_steps(candidate.pixel - expected, steps).is_some_and(|off| {
                     let (along, aside) =
                         if self.axis == 0 { (off.x, off.y) } else { (off.y, off.x) };
