@@ -115,6 +115,27 @@ impl Dictionary {
         let code = self.table.codes[..self.count].get(id)?;
         (row < bits && col < bits).then(|| code >> (bits * bits - 1 - (row * bits + col)) & 1 == 1)
     }
+
+    /// The same of the marker as it appears rotated by so many `quarters` from +x to +y, its cells
+    /// counted from the upper left one again.
+    pub fn is_white_rotated(
+        &self,
+        id: usize,
+        (row, col): (usize, usize),
+        quarters: usize,
+    ) -> Option<bool> {
+        let last = self.table.bits - 1;
+        if row > last || col > last {
+            return None;
+        }
+        let (row, col) = match quarters % 4 {
+            0 => (row, col),
+            1 => (last - col, row),
+            2 => (last - row, last - col),
+            _ => (col, last - row),
+        };
+        self.is_white(id, row, col)
+    }
 }
 
 fn tables() -> &'static [MarkerTable] {
@@ -155,6 +176,22 @@ mod tests {
         }
         assert_eq!(Dictionary::named("tag36h11").map(|d| d.count()), Ok(587));
         assert!(Dictionary::named("DICT_8X8_50").is_err());
+    }
+
+    #[test]
+    fn a_quarter_brings_the_left_column_to_the_top() {
+        let family = Dictionary::named("tag36h11").expect("a family");
+        for quarters in 0..5 {
+            for (row, col) in (0..6).flat_map(|row| (0..6).map(move |col| (row, col))) {
+                assert_eq!(
+                    family.is_white_rotated(7, (row, col), quarters + 1),
+                    family.is_white_rotated(7, (5 - col, row), quarters),
+                );
+                assert_eq!(family.is_white_rotated(7, (row, col), 4), family.is_white(7, row, col));
+            }
+        }
+        assert_eq!(family.is_white_rotated(7, (0, 6), 1), None);
+        assert_eq!(family.is_white_rotated(587, (0, 0), 1), None);
     }
 
     #[test]

@@ -91,7 +91,7 @@ impl Sheets {
     fn of_charuco(board: &CharucoBoard) -> Self {
         let ratio = (board.marker_m / board.square_m) as f32;
         let bits = board.dictionary.bits();
-        let inset = (1.0 - ratio) / 2.0 + ratio / (bits + 2) as f32;
+        let inset = charuco_inset(ratio, bits);
         let lines = [board.cols as i32 - 1, board.rows as i32 - 1];
         let way = |legacy| {
             let squares = board.markers(legacy).into_iter();
@@ -122,7 +122,7 @@ impl Sheets {
         let bits = grid.family.bits();
         let (cols, rows) = (grid.cols as i32, grid.rows as i32);
         let way = |border: u32| {
-            let inset = border as f32 / (bits as u32 + 2 * border) as f32;
+            let inset = tag_inset(border, bits);
             // Numbered from the lowest row.
             let cells =
                 (0..rows).flat_map(|row| (0..cols).map(move |col| (2 * col, 2 * (rows - 1 - row))));
@@ -173,6 +173,17 @@ impl Sheets {
     }
 }
 
+/// Where in its square the payload of `bits` cells a side starts, of a marker with a border of one
+/// cell whose side is `ratio` of the square's, as a part of the square's side.
+pub(super) fn charuco_inset(ratio: f32, bits: usize) -> f32 {
+    (1.0 - ratio) / 2.0 + ratio / (bits + 2) as f32
+}
+
+/// The same of a tag with a border of so many cells, as a part of the tag's side.
+pub(super) fn tag_inset(border: u32, bits: usize) -> f32 {
+    border as f32 / (bits as u32 + 2 * border) as f32
+}
+
 /// The vectors of `count` markers from `first` on, each as it appears in the grid's axes if the
 /// sheet is rotated by 0 to 3 quarters from +x to +y; `printed`: quarters by which they are
 /// printed.
@@ -184,14 +195,9 @@ fn codes(dictionary: &Dictionary, first: usize, count: usize, printed: usize) ->
             let start = codes.len();
             for row in 0..n {
                 for col in 0..n {
-                    let (r, c) = match (quarter + printed) % 4 {
-                        0 => (row, col),
-                        1 => (n - 1 - col, row),
-                        2 => (n - 1 - row, n - 1 - col),
-                        _ => (col, n - 1 - row),
-                    };
-                    let white = dictionary.is_white(first + marker, r, c).unwrap_or(false);
-                    codes.push(if white { 1.0 } else { 0.0 });
+                    let white =
+                        dictionary.is_white_rotated(first + marker, (row, col), quarter + printed);
+                    codes.push(if white.unwrap_or(false) { 1.0 } else { 0.0 });
                 }
             }
             unit(&mut codes[start..]);

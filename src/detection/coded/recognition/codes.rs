@@ -19,15 +19,9 @@ impl CodeTable {
         for marker in 0..dictionary.count() {
             for quarter in 0..4_u8 {
                 let pattern = (0..n * n).fold(0, |pattern, k| {
-                    let (row, col) = (k / n, k % n);
-                    let (r, c) = match quarter {
-                        0 => (row, col),
-                        1 => (n - 1 - col, row),
-                        2 => (n - 1 - row, n - 1 - col),
-                        _ => (col, n - 1 - row),
-                    };
-                    let is_white = dictionary.is_white(marker, r, c).unwrap_or(false);
-                    pattern << 1 | u64::from(is_white)
+                    let at = (k / n, k % n);
+                    let is_white = dictionary.is_white_rotated(marker, at, usize::from(quarter));
+                    pattern << 1 | u64::from(is_white.unwrap_or(false))
                 });
                 patterns.push((pattern, marker as u32, quarter));
             }

@@ -16,6 +16,7 @@ use crate::detection::coded::answer::TargetDetection;
 use crate::detection::coded::detector::TargetDetector;
 use crate::detection::coded::recognition::cells::{Payload, seen_markers};
 use crate::detection::coded::recognition::shape::{ANY_SIDE_M, april_grids, charuco_boards};
+use crate::detection::coded::sheet::{charuco_inset, tag_inset};
 use crate::geometry::dictionary::Dictionary;
 use crate::geometry::target::{AprilGrid, CharucoBoard, Target};
 use crate::imaging::gray::GrayView;
@@ -123,14 +124,14 @@ fn payloads(template: &Target) -> Vec<Payload> {
         Target::AprilGrid(_) => sizes
             .flat_map(|bits| [2_u32, 1].map(|border| (bits, border)))
             .map(|(bits, border)| {
-                let inset = border as f32 / (bits as u32 + 2 * border) as f32;
+                let inset = tag_inset(border, bits);
                 Payload { bits, inset, ratio: 1.0, border }
             })
             .collect(),
         _ => sizes
             .flat_map(|bits| RATIOS.map(|ratio| (bits, ratio)))
             .map(|(bits, ratio)| {
-                let inset = (1.0 - ratio) / 2.0 + ratio / (bits + 2) as f32;
+                let inset = charuco_inset(ratio, bits);
                 Payload { bits, inset, ratio, border: 1 }
             })
             .collect(),
