@@ -13,6 +13,7 @@ use crate::detection::grid::in_steps;
 use crate::detection::measure::cross::Vec2;
 use crate::detection::refine::GridCorner;
 use crate::detection::thresholds::Thresholds;
+use crate::geometry::median::{median, median_of};
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
 
@@ -200,9 +201,8 @@ impl TargetDetector {
         self.grid.members.sort_unstable_by_key(|&(i, j)| (j, i));
         self.take_guesses();
         let by_print = self.refine_guesses(image, label);
-        let mut stds: Vec<f64> = self.refined.iter().flatten().map(|it| it.std_px).collect();
-        stds.sort_unstable_by(f64::total_cmp);
-        let most_std_px = limits.suspect_stds * stds.get(stds.len() / 2).copied().unwrap_or(0.0);
+        let stds = self.refined.iter().flatten().map(|it| it.std_px).collect();
+        let most_std_px = limits.suspect_stds * median(stds).unwrap_or(0.0);
         for (guess, refined) in self.guesses.iter().zip(&mut self.refined) {
             let GridIndex { col, row } = guess.index;
             let nearest = guess.neighbors.iter().flatten();
@@ -278,8 +278,7 @@ impl TargetDetector {
                 .map_or(self.thresholds.marker_corners.standing_std_px, |refined| refined.std_px);
             corners.push(self.labeled(label, guess.index, pixel, std_px));
         }
-        blurs.sort_unstable_by(f64::total_cmp);
-        let blur_px = blurs.get(blurs.len() / 2).copied().unwrap_or(0.0);
+        let blur_px = median_of(&mut blurs).unwrap_or(0.0);
         let Self { meeting, sheets, grid, thresholds, .. } = self;
         let meeting = meeting.points(image, (sheets, grid, label), thresholds, blur_px);
         let met = meeting.iter().map(|it| self.labeled(label, it.at, it.pixel, it.std_px));
@@ -305,11 +304,10 @@ impl TargetDetector {
         &self,
         label: BoardLabel,
         mut corners: Vec<LabeledCorner>,
-        mut blurs: Vec<f64>,
+        blurs: Vec<f64>,
     ) -> TargetDetection {
         let sheet = &self.sheets.ways[label.way];
         corners.sort_unstable_by_key(|corner| corner.id);
-        blurs.sort_unstable_by(f64::total_cmp);
         TargetDetection {
             partial: corners.len() < self.target.corner_count(),
             corners,
@@ -319,7 +317,7 @@ impl TargetDetector {
                 border_bits: sheet.border_bits,
                 inverted: label.inverted,
             },
-            blur_px: blurs.get(blurs.len() / 2).copied().unwrap_or(0.0),
+            blur_px: median(blurs).unwrap_or(0.0),
         }
     }
 }

@@ -13,6 +13,10 @@ use crate::detection::grid::{Bounds, Grid};
 use crate::detection::thresholds::markers::LabelThresholds;
 use crate::detection::verify::placement::BoardPlacement;
 
+/// Fewer cells that clearly show markers of the target are not called another board's: a single one
+/// may agree by chance. Chosen, not swept: it decides only which reason is given for no board.
+const LEAST_ELSEWHERE: usize = 3;
+
 /// Where a lattice lies.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct BoardLabel {
@@ -48,8 +52,8 @@ pub(super) enum BoardLabels {
 pub(super) struct BestLabel {
     first: Option<BoardLabel>,
     second: Option<BoardLabel>,
-    contradictions: usize,
-    largest: usize,
+    /// Cells that clearly show a marker of the target, the most of all that was weighed.
+    clearly_read: usize,
 }
 
 impl BestLabel {
@@ -63,13 +67,12 @@ impl BestLabel {
     ) {
         let Some(bounds) = grid.anchored_bounds() else { return };
         let (sheet, limits) = (&sheets.ways[way], &reading.limits);
-        for cell in 0..reading.cells.len() {
-            self.contradictions += usize::from(
-                reading.cells[cell].weight >= limits.least_read_weight
-                    && reading.best(cell) > limits.clear_agreement,
-            );
-        }
-        self.largest = self.largest.max(std::mem::take(&mut self.contradictions));
+        let is_clear = |cell: &usize| {
+            reading.cells[*cell].weight >= limits.least_read_weight
+                && reading.best(*cell) > limits.clear_agreement
+        };
+        let clear = (0..reading.cells.len()).filter(is_clear).count();
+        self.clearly_read = self.clearly_read.max(clear);
         for quarter_turns in 0..4 {
             for first in firsts(sheet, bounds, quarter_turns, beyond) {
                 let placement = BoardPlacement { first, quarter_turns, known: true };
@@ -118,7 +121,11 @@ impl BestLabel {
     }
 
     fn none(&self) -> BoardLabels {
-        if self.largest >= 3 { BoardLabels::Elsewhere(self.largest) } else { BoardLabels::None }
+        if self.clearly_read >= LEAST_ELSEWHERE {
+            BoardLabels::Elsewhere(self.clearly_read)
+        } else {
+            BoardLabels::None
+        }
     }
 }
 

@@ -4,8 +4,7 @@ use std::collections::VecDeque;
 
 use crate::detection::coded::chart::{Chart, ChartPair, FARTHEST};
 use crate::detection::coded::sheet::Sheets;
-use crate::detection::grid::in_steps;
-use crate::detection::grid::{Grid, Node};
+use crate::detection::grid::{Grid, LARGEST_RADIUS, Node, in_steps};
 use crate::detection::measure::cross::{CrossWindow, Vec2};
 use crate::detection::search::candidates::{Candidate, edges_along};
 use crate::detection::search::seeds::{Neighborhood, Seed};
@@ -14,8 +13,6 @@ use crate::imaging::gray::GrayView;
 
 /// Crossings of a line that say how it is curved.
 pub(super) const CURVED: i32 = 3;
-/// How far a lattice reaches from its first crossing, in lines.
-pub(super) const LARGEST_RADIUS: i32 = 104;
 
 /// Grows lattices; its buffers are kept.
 #[derive(Debug, Default)]

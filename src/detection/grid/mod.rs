@@ -10,7 +10,7 @@ pub(in crate::detection) mod perspective;
 use crate::detection::measure::cross::Vec2;
 
 /// Most corners a grid reaches from its first one, in any direction.
-const LARGEST_RADIUS: i32 = 104;
+pub(in crate::detection) const LARGEST_RADIUS: i32 = 104;
 /// How often a position may be searched without success.
 const MOST_ATTEMPTS: u8 = 4;
 
