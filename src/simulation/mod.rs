@@ -26,6 +26,7 @@ mod seat;
 mod textured_depth;
 mod textured_solids;
 mod textured_world;
+mod tremor;
 mod walk;
 mod world;
 

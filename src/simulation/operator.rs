@@ -14,6 +14,7 @@ use crate::geometry::lens::Lens;
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
 use crate::simulation::noise::{Purpose, stream};
+use crate::simulation::tremor::tremor;
 
 /// What the person does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -304,11 +305,8 @@ impl Operator {
     }
 
     fn trembling(&self) -> Pose {
-        let wave = |hertz: f64, phase: f64| (TAU * hertz * self.time_s + phase).sin();
-        let [translation, rotation] = self.skill.tremor;
-        let shake = Vector3::new(wave(1.7, 0.0), wave(2.3, 1.0), wave(1.1, 2.0)) * translation;
-        let wobble = Vector3::new(wave(1.3, 3.0), wave(1.9, 4.0), wave(2.9, 5.0)) * rotation;
-        let rotation = UnitQuaternion::from_scaled_axis(wobble) * self.at.rotation;
+        let (shake, wobble) = tremor(self.time_s, self.skill.tremor);
+        let rotation = wobble * self.at.rotation;
         Pose::new(rotation, self.at.place + shake - rotation * self.middle)
     }
 

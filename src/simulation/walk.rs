@@ -11,6 +11,7 @@ use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
 use crate::simulation::board_pattern::BoardPattern;
 use crate::simulation::noise::{Purpose, stream};
+use crate::simulation::tremor::tremor;
 
 /// How the board is carried.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -72,7 +73,7 @@ impl Walk {
 
     /// Where the board is at `time_s` ≥ 0 seconds, in the camera's frame.
     pub fn camera_from_board(&mut self, time_s: f64) -> Pose {
-        let WalkOptions { still_s, travel_s, tremor, .. } = self.options;
+        let WalkOptions { still_s, travel_s, .. } = self.options;
         let stage = (time_s / (still_s + travel_s)).max(0.0);
         let place = stage.floor() as u64;
         let since_s = (stage - stage.floor()) * (still_s + travel_s);
@@ -83,10 +84,8 @@ impl Walk {
         let rotation =
             from.rotation().try_slerp(&to.rotation(), part, 1e-9).unwrap_or_else(|| to.rotation());
         let translation = from.translation().lerp(&to.translation(), part);
-        let wave = |frequency_hz: f64, phase: f64| (TAU * frequency_hz * time_s + phase).sin();
-        let shake = Vector3::new(wave(1.7, 0.0), wave(2.3, 1.0), wave(1.1, 2.0)) * tremor[0];
-        let wobble = Vector3::new(wave(1.3, 3.0), wave(1.9, 4.0), wave(2.9, 5.0)) * tremor[1];
-        Pose::new(rotation * UnitQuaternion::from_scaled_axis(wobble), translation + shake)
+        let (shake, wobble) = tremor(time_s, self.options.tremor);
+        Pose::new(rotation * wobble, translation + shake)
     }
 
     fn places_around(&mut self, place: u64) -> [Pose; 2] {
