@@ -229,21 +229,35 @@ impl Grid {
 
     /// The same rectangle without lines at its sides that hold a single corner.
     pub(in crate::detection) fn anchored_bounds(&self) -> Option<Bounds> {
+        self.bounds_of_lines(|corners, _| corners > 1)
+    }
+
+    /// The same rectangle without lines at its sides of which less than half is there: corners of
+    /// what lies beside the board.
+    pub(in crate::detection) fn filled_bounds(&self) -> Option<Bounds> {
+        self.bounds_of_lines(|corners, length| 2 * corners >= length)
+    }
+
+    /// The same rectangle without lines at its sides that are no part of it, by how many corners
+    /// they hold and could.
+    fn bounds_of_lines(&self, is_part: fn(usize, usize) -> bool) -> Option<Bounds> {
         let mut bounds = self.bounds()?;
-        let firm = |of: fn(&(i32, i32)) -> i32, line: i32| {
-            self.members.iter().filter(|at| of(at) == line).count() > 1
-        };
-        let trim = |of: fn(&(i32, i32)) -> i32, (mut least, mut most): (i32, i32)| {
-            while least < most && !firm(of, least) {
+        let (rows, cols) = (bounds.height() as usize, bounds.width() as usize);
+        let trim = |of: fn(&(i32, i32)) -> i32, length: usize, (least, most): (i32, i32)| {
+            let is_part = |line: i32| {
+                is_part(self.members.iter().filter(|at| of(at) == line).count(), length)
+            };
+            let (mut least, mut most) = (least, most);
+            while least < most && !is_part(least) {
                 least += 1;
             }
-            while least < most && !firm(of, most) {
+            while least < most && !is_part(most) {
                 most -= 1;
             }
             (least, most)
         };
-        bounds.i = trim(|at| at.0, bounds.i);
-        bounds.j = trim(|at| at.1, bounds.j);
+        bounds.i = trim(|at| at.0, rows, bounds.i);
+        bounds.j = trim(|at| at.1, cols, bounds.j);
         Some(bounds)
     }
 

@@ -228,7 +228,14 @@ impl LevelSearch {
                 GridOutcome::Part(placement)
             }
             Some(_) => GridOutcome::Nothing,
-            None => GridOutcome::other(bounds),
+            None => {
+                let filled = grid.filled_bounds().unwrap_or(bounds);
+                let (cols, rows) = (board.cols.max(board.rows), board.cols.min(board.rows));
+                match (longer(filled), shorter(filled)) == (cols, rows) {
+                    true => GridOutcome::Nothing,
+                    false => GridOutcome::other(filled),
+                }
+            }
         }
     }
 }
