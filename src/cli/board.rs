@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use crate::calibration::result::ImageCalibration;
 use crate::calibration::rounded::value_with_std;
-use crate::cli::files::{read_calibration, write_file};
+use crate::cli::files::{image_sensor, read_calibration, write_file};
 use crate::cli::{Failure, output};
 use crate::document::board_shape::BoardShapeDocument;
 use crate::imaging::board_drawing::{BoardOffsets, board_png};
@@ -36,6 +36,9 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         let name = calibration.name_of(id);
         is_asked(&name).then(|| sensor.board_shape.clone()).flatten().map(|shape| (name, shape))
     };
+    if args.sensor.is_some() {
+        image_sensor(&calibration, args.sensor.as_deref(), &file.to_string())?;
+    }
     let (name, shape) = calibration.image_sensors().find_map(measured).ok_or_else(|| {
         Failure::failed(format!(
             "{file}: it has measured no board: its views show none that is uneven; calibrate with --board-shape free to have it measured for all that"

@@ -1,6 +1,6 @@
 //! A finished calibration on stdout and in a file, the same way for every command that makes one.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use crate::calibration::depth_calibration::DepthCalibration;
 use crate::calibration::result::{Calibration, Extrinsics, ImageCalibration};
@@ -31,7 +31,7 @@ impl OutputArgs {
     /// Refuses what cannot be done, before any work is.
     ///
     /// # Errors
-    /// When two documents would have to go to stdout.
+    /// When two documents would have to go to stdout, or the file into a folder that is not there.
     pub fn check(&self) -> Result<(), Failure> {
         let other_format = self.format.is_some_and(|format| format != Format::Json);
         if self.json && other_format && self.out.is_none() {
@@ -39,7 +39,14 @@ impl OutputArgs {
                 "--json and --format both print: give --out FILE for the format, or leave one out",
             ));
         }
-        Ok(())
+        let folder = self.out.as_deref().and_then(Path::parent);
+        match folder.filter(|folder| !folder.as_os_str().is_empty() && !folder.is_dir()) {
+            Some(folder) => Err(Failure::usage(format!(
+                "--out: there is no folder {}: make it first",
+                folder.display()
+            ))),
+            None => Ok(()),
+        }
     }
 
     /// Whether stdout is to be one JSON document.
@@ -68,9 +75,13 @@ impl OutputArgs {
             return output::print_json(&document);
         }
         match (format, &self.out) {
-            (Some(format), None) => output::print_bytes(
-                &export(calibration, format, &options).map_err(Failure::failed)?.bytes,
-            ),
+            (Some(format), None) => {
+                let exported = export(calibration, format, &options).map_err(Failure::failed)?;
+                if let Some(note) = &exported.note {
+                    tracing::warn!("{note}");
+                }
+                output::print_bytes(&exported.bytes)
+            }
             _ => output::print_text(&summary(calibration)),
         }
     }

@@ -49,12 +49,21 @@ pub(super) fn scene_images<'a>(
     };
     let count = frame_sets().filter(has_image).count();
     let is_taken = |frames: &Result<SourcedFrames, Unreadable>| count == 0 || has_image(frames);
-    let step = count.div_ceil(MAX_IMAGES).max(1);
+    if count > MAX_IMAGES {
+        tracing::warn!("{MAX_IMAGES} of {count} images are taken, evenly over all");
+    }
+    // Of so many, the one in which the number of those taken grows.
+    let is_chosen = |place: usize| {
+        count <= MAX_IMAGES || (place + 1) * MAX_IMAGES / count > place * MAX_IMAGES / count
+    };
     let (mut images, mut depth, mut focals) = (Vec::new(), Vec::new(), Vec::new());
     let mut rotated = 0;
     let spinner = progress::spinner("finding features");
     in_order(
-        frame_sets().filter(is_taken).step_by(step),
+        frame_sets()
+            .filter(is_taken)
+            .enumerate()
+            .filter_map(|(place, frames)| is_chosen(place).then_some(frames)),
         threads,
         || {
             |frames: Result<SourcedFrames, Unreadable>| {
