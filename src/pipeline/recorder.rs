@@ -3,11 +3,12 @@
 
 use std::path::Path;
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
 use crate::imaging::factory::FactoryCalibration;
 use crate::imaging::frame::FrameSet;
+use crate::locks::lock;
 use crate::pipeline::assembly::SharedFactory;
 use crate::pipeline::clock::utc_now_ns;
 use crate::pipeline::recording_notes;
@@ -261,10 +262,6 @@ fn reached(limits: RecordingLimits, elapsed_s: f64, bytes: u64) -> Option<String
     }
     let limit = limits.bytes.filter(|limit| bytes >= *limit)?;
     Some(format!("the limit of {limit} bytes is reached"))
-}
-
-fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
-    shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]
