@@ -57,7 +57,7 @@ impl EstimatedArgs {
     /// Asks for it on top of what `options` ask for.
     ///
     /// # Errors
-    /// When the file with a measured board cannot be read, or has none.
+    /// When a parameter is given twice, or the file with a measured board cannot be read, or has none.
     pub fn add_to(&self, options: &mut CameraOptions) -> Result<(), Failure> {
         options.square_pixels |= self.square_pixels;
         options.skew |= self.skew;
@@ -78,7 +78,13 @@ impl EstimatedArgs {
             GivenArgument::Parameter(parameter) => Some(parameter.clone()),
             GivenArgument::Lens(_) => None,
         });
-        options.given.extend(parameters);
+        for parameter in parameters {
+            if options.given.iter().any(|known| known.name == parameter.name) {
+                let name = parameter.name;
+                return Err(Failure::usage(format!("--given {name} twice: give one value")));
+            }
+            options.given.push(parameter);
+        }
         Ok(())
     }
 
