@@ -162,7 +162,11 @@ pub(super) fn check_bytes(frame: &Frame) -> Result<(), DecodeError> {
     Ok(())
 }
 
-fn check_size(size: ImageSize) -> Result<ImageSize, DecodeError> {
+/// Refuses a size without pixels, of which rows would have no end, and one that is too large.
+pub(super) fn check_size(size: ImageSize) -> Result<ImageSize, DecodeError> {
+    if size.width == 0 || size.height == 0 {
+        return Err(DecodeError::NoPixels { size });
+    }
     if u64::from(size.width) * u64::from(size.height) > MAX_PIXELS {
         return Err(DecodeError::TooLarge { size });
     }
@@ -353,6 +357,20 @@ mod tests {
         assert_eq!(luma_of(&deep).unwrap().pixels(), [0x12, 0xff]);
         assert_eq!(gray16(&deep).unwrap().unwrap().as_raw(), &[0x1234, 0xff00]);
         assert_eq!(gray16(&raw), Ok(None));
+    }
+
+    /// Four thousand million rows of nothing, in one byte.
+    #[test]
+    fn a_frame_without_pixels_is_refused_at_once() {
+        for (width, height) in [(0, u32::MAX), (u32::MAX, 0), (0, 0)] {
+            for format in [PixelFormat::Mono8, PixelFormat::Mono16, PixelFormat::Nv12] {
+                let empty = frame(format, ImageSize::new(width, height), 0, &[1]);
+                assert!(matches!(luma_of(&empty), Err(DecodeError::NoPixels { .. })), "{format:?}");
+            }
+            let depth = frame(PixelFormat::Depth16, ImageSize::new(width, height), 0, &[1]);
+            let refused = crate::imaging::depth_image::DepthImage::from_frame(&depth);
+            assert!(matches!(refused, Err(DecodeError::NoPixels { .. })));
+        }
     }
 
     #[test]

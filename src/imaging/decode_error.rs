@@ -12,6 +12,12 @@ pub enum DecodeError {
     /// No bytes at all.
     #[error("the image has 0 bytes: it was never written; leave it out or record it again")]
     Empty,
+    /// A size of 0 along one side or both.
+    #[error("an image of {size} has no pixels: set the source to a size that it supports")]
+    NoPixels {
+        /// The size that the frame states.
+        size: ImageSize,
+    },
     /// Neither a JPEG nor a PNG, nor whatever its format says.
     #[error("not an image that Plumb reads: convert it to PNG")]
     NotAnImage,

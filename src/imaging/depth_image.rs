@@ -1,7 +1,7 @@
 //! Depth images: 16-bit readings per pixel, as the device gave them.
 
 use crate::geometry::pixel::ImageSize;
-use crate::imaging::decode::{DecodeError, check_bytes};
+use crate::imaging::decode::{DecodeError, check_bytes, check_size};
 use crate::imaging::frame::{Frame, PixelFormat};
 use crate::imaging::pixel_format::buffer_length;
 use crate::imaging::png;
@@ -43,6 +43,7 @@ impl DepthImage {
 
     fn from_rows(frame: &Frame) -> Result<Self, DecodeError> {
         let Frame { size, stride, .. } = *frame;
+        check_size(size)?;
         let (needed, bytes) = (buffer_length(size, stride, 2), frame.bytes.len());
         let row_bytes = 2 * size.width as usize;
         if bytes < needed || stride < row_bytes {

@@ -101,6 +101,9 @@ impl<'a> RawImage<'a> {
 
     /// The rows, each of width × `bytes_per_pixel` bytes.
     fn rows(&self, bytes_per_pixel: usize) -> Result<impl Iterator<Item = &'a [u8]>, String> {
+        if self.size.width == 0 || self.size.height == 0 {
+            return Err(format!("a {} image of {} has no pixels", self.encoding, self.size));
+        }
         let row = self.size.width as usize * bytes_per_pixel;
         let height = self.size.height as usize;
         let needed = height
