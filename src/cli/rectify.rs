@@ -102,7 +102,8 @@ struct RectifiedImages {
 }
 
 /// Rows of rectified images that differ by more than this, in pixels rms, are not of one moment of
-/// the calibrated pair: ten times what a calibration leaves whose views are known to half a pixel.
+/// the calibrated pair. Chosen, not swept: the calibrated pairs of opencv-samples give 0.09,
+/// with the cameras exchanged 22.7, with other frames 40.3 and more.
 const NO_PAIR_PX: f64 = 5.0;
 
 /// Runs the command.
