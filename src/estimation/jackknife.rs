@@ -63,19 +63,28 @@ fn jackknife(
 ) -> Option<DMatrix<f64>> {
     let good: Vec<usize> =
         (0..problem.views.len()).filter(|view| estimate.views[*view].fault.is_none()).collect();
-    let groups = good.len().min(MAX_SOLVES);
-    let without = |group: usize| {
-        let kept = good.iter().enumerate().filter(|(k, _)| k % groups != group);
+    scatter_without_views(good.len(), |is_kept| {
+        let kept = good.iter().enumerate().filter(|(k, _)| is_kept(*k));
         let kept: Vec<usize> = kept.map(|(_, view)| *view).collect();
         lens_of(&kept, problem, options, estimate, fit.effects.as_ref())
-    };
-    let lenses: Vec<DVector<f64>> = (0..groups).filter_map(without).collect();
-    if lenses.len() < MIN_SOLVES {
+    })
+}
+
+/// The jackknife covariance of what `solve` gives when it keeps the views, by their index below
+/// `views`, for which its argument is true; `None` where too few solves succeed.
+pub(crate) fn scatter_without_views(
+    views: usize,
+    mut solve: impl FnMut(&dyn Fn(usize) -> bool) -> Option<DVector<f64>>,
+) -> Option<DMatrix<f64>> {
+    let groups = views.min(MAX_SOLVES);
+    let without = |group: usize| solve(&|view| view % groups != group);
+    let estimates: Vec<DVector<f64>> = (0..groups).filter_map(without).collect();
+    if estimates.len() < MIN_SOLVES {
         return None;
     }
-    let count = lenses.len() as f64;
-    let mean = lenses.iter().sum::<DVector<f64>>() / count;
-    let off = lenses.iter().map(|lens| lens - &mean);
+    let count = estimates.len() as f64;
+    let mean = estimates.iter().sum::<DVector<f64>>() / count;
+    let off = estimates.iter().map(|estimate| estimate - &mean);
     let sum: DMatrix<f64> = off.map(|off| &off * off.transpose()).sum();
     // A group without which no solve succeeds moves the estimate at least as the others do.
     Some(sum * ((count - 1.0) / count * (groups as f64 / count)))

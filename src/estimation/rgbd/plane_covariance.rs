@@ -1,8 +1,9 @@
 //! The covariance of a depth camera's lens and pose by planes.
 
-use nalgebra::{DMatrix, Matrix6};
+use nalgebra::{DMatrix, DVector, Matrix6};
 
 use crate::estimation::clustered_covariance::FitCovariance;
+use crate::estimation::jackknife::scatter_without_views;
 use crate::estimation::joint::Layout;
 use crate::estimation::joint::depth_terms::{CorrectionColumns, PlaneObservation, add_planes};
 use crate::estimation::joint::linearize::LinearizationPoint;
@@ -25,8 +26,9 @@ impl Planes<'_> {
         let views: Option<Vec<ReducedView>> =
             self.planes.iter().map(|plane| self.part(fit, plane)).collect();
         let square = fit.together * fit.together;
-        let own = FitCovariance::of_views(unscaled.clone(), square, &views?).all();
-        let size = own.nrows();
+        let own = FitCovariance::of_views(unscaled.clone(), square, &views?);
+        let own = self.with_jackknife(fit, &own);
+        let (size, free) = (unscaled.nrows(), self.layout.len);
         let mut by_lens = DMatrix::zeros(size, corners.covariance.nrows());
         // The planes' equations hold the corners' of each pose, and so its own scatter: what is
         // left is that of color's lens, which moves the corners' poses of all views.
@@ -42,8 +44,48 @@ impl Planes<'_> {
             let through = DMatrix::from_fn(6, by_lens.ncols(), |a, k| corners[k][a]);
             by_lens += &coupled * inverse * through;
         }
-        let moved = &unscaled * by_lens;
+        let moved = unscaled.rows(0, free) * by_lens;
         Some(own + &moved * &corners.covariance * moved.transpose())
+    }
+
+    /// The covariance of lens and pose as fits without some of the planes show it, as far as views
+    /// differ. To first order (`own`) the tiles that are believed and their scatter are held, and
+    /// the steps of views that alone determine a part of the correction are cut short.
+    fn with_jackknife(&self, fit: &Fit, own: &FitCovariance) -> DMatrix<f64> {
+        let free = self.layout.len;
+        let [of_both, of_all] = [free, own.unit.nrows()].map(|size| own.block(0..size));
+        let to_first_order = of_all.covariance.view((0, 0), (free, free)).into_owned();
+        // Views that differ in what they say of depth's error may agree about lens and pose by
+        // chance.
+        let weight = of_both.weight.max(of_all.weight);
+        if !(weight > 0.0) {
+            return to_first_order;
+        }
+        let by_fits = scatter_without_views(self.planes.len(), |is_kept| {
+            let fit_of_kept = self.of_views(is_kept).fit_again(fit)?;
+            Some(self.step(fit, &fit_of_kept))
+        });
+        match by_fits {
+            Some(by_fits) => to_first_order * (1.0 - weight) + by_fits * weight,
+            None => to_first_order,
+        }
+    }
+
+    /// From the lens and pose of one fit to those of another.
+    fn step(&self, fit: &Fit, other: &Fit) -> DVector<f64> {
+        let sensor = &self.layout.sensors[1];
+        let mut step = DVector::zeros(self.layout.len);
+        let [before, after] = [fit, other].map(|fit| fit.state.lenses[1].parameters());
+        for (k, index) in sensor.lens.free.iter().enumerate() {
+            step[sensor.lens_at + k] = after[*index] - before[*index];
+        }
+        if let Some(at) = sensor.pose_at {
+            let [before, after] = [fit, other].map(|fit| fit.state.sensor_from_rig[1]);
+            let rotation = (after.rotation() * before.rotation().inverse()).scaled_axis();
+            let translation = after.translation() - before.translation();
+            (0..3).for_each(|k| (step[at + k], step[at + 3 + k]) = (rotation[k], translation[k]));
+        }
+        step
     }
 
     /// What a view's plane says by itself, the board's pose eliminated.
@@ -76,21 +118,8 @@ impl Planes<'_> {
         other: Option<&Fit>,
         covariance: &DMatrix<f64>,
     ) -> DMatrix<f64> {
-        let sensor = &self.layout.sensors[1];
-        let mut step = nalgebra::DVector::zeros(covariance.nrows());
-        if let Some(other) = other {
-            let [before, after] = [fit, other].map(|fit| fit.state.lenses[1].parameters());
-            for (k, index) in sensor.lens.free.iter().enumerate() {
-                step[sensor.lens_at + k] = after[*index] - before[*index];
-            }
-            if let Some(at) = sensor.pose_at {
-                let [before, after] = [fit, other].map(|fit| fit.state.sensor_from_rig[1]);
-                let rotation = (after.rotation() * before.rotation().inverse()).scaled_axis();
-                let translation = after.translation() - before.translation();
-                (0..3)
-                    .for_each(|k| (step[at + k], step[at + 3 + k]) = (rotation[k], translation[k]));
-            }
-        }
+        let step =
+            other.map_or_else(|| DVector::zeros(covariance.nrows()), |other| self.step(fit, other));
         let in_deviations = (0..step.len())
             .map(|k| step[k].abs() / covariance[(k, k)].max(f64::MIN_POSITIVE).sqrt());
         let beyond_chance = normal_probability(in_deviations.fold(0.0, f64::max) - FORM_LIMIT);

@@ -3,6 +3,8 @@
 //! too, else moved within what the corners leave open, so that a far board's uncertain tilt does
 //! not distort the lens.
 
+use std::ops::Range;
+
 use nalgebra::{Matrix6, Vector3};
 
 use crate::estimation::depth_error::{JudgedTile, Prior, Smoothness, TriedCorrection};
@@ -29,11 +31,18 @@ const LIMIT_STDS: f64 = 6.0;
 /// The same in the first round, whose residuals also have what the start is off by.
 const FIRST_LIMIT_STDS: f64 = 12.0;
 
+/// Rounds of a fit, at most; between them tiles are weighted and chosen again. Chosen, not swept.
+const ROUNDS: usize = 6;
+/// The same of a fit that begins where one has ended: the last is by the tiles and the weight that
+/// the first one found.
+const ROUNDS_AGAIN: usize = 2;
+
 /// A tile's mean is taken to be known to this part of the standard deviation of its readings at
 /// best, as if a hundred of them erred independently: readings next to each other err together.
 const LEAST_READING_STDS: f64 = 0.1;
 
 /// The problem of the planes.
+#[derive(Clone)]
 pub(super) struct Planes<'a> {
     problem: &'a RgbdProblem,
     pub(super) layout: Layout,
@@ -130,6 +139,12 @@ impl<'a> Planes<'a> {
         Self { problem, layout, planes: planes.collect(), anchors }
     }
 
+    /// The planes, counted from 0, for which `is_kept` is true.
+    pub(super) fn of_views(&self, is_kept: impl Fn(usize) -> bool) -> Self {
+        let kept = self.planes.iter().enumerate().filter(|(k, _)| is_kept(*k));
+        Self { planes: kept.map(|(_, plane)| plane.clone()).collect(), ..self.clone() }
+    }
+
     /// The nearest and the farthest depth that was measured.
     pub(super) fn seen_m(&self) -> [f64; 2] {
         let depths = || {
@@ -146,12 +161,31 @@ impl<'a> Planes<'a> {
         correction: DepthCorrection,
         smoothness: Smoothness,
     ) -> Option<Fit> {
+        let start = PlaneState { rig: start.clone(), correction };
+        self.fit_in(0..ROUNDS, start, smoothness, 1.0)
+    }
+
+    /// Fits again what ended in `before`, after planes were left out.
+    pub(super) fn fit_again(&mut self, before: &Fit) -> Option<Fit> {
+        let start = PlaneState { rig: before.state.clone(), correction: before.correction.clone() };
+        let rounds = ROUNDS - ROUNDS_AGAIN..ROUNDS;
+        self.fit_in(rounds, start, before.smoothness, before.tile_noise)
+    }
+
+    fn fit_in(
+        &mut self,
+        rounds: Range<usize>,
+        start: PlaneState,
+        smoothness: Smoothness,
+        mut tile_noise: f64,
+    ) -> Option<Fit> {
         let at = self.layout.len;
-        let prior = Prior::of(&correction, smoothness);
-        let layout = Layout { len: at + correction.coefficients.len(), ..self.layout.clone() };
-        let mut whole = PlaneState { rig: start.clone(), correction };
-        let (mut tile_noise, mut together, mut equations) = (1.0, 1.0, None);
-        for round in 0..6 {
+        let mut whole = start;
+        let prior = Prior::of(&whole.correction, smoothness);
+        let len = at + whole.correction.coefficients.len();
+        let layout = Layout { len, ..self.layout.clone() };
+        let (mut together, mut equations) = (1.0, None);
+        for round in rounds {
             if self.problem.interrupt.is_requested() {
                 return None;
             }
