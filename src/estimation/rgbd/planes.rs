@@ -34,7 +34,7 @@ const FIRST_LIMIT_STDS: f64 = 12.0;
 /// Rounds of a fit, at most; between them tiles are weighted and chosen again. Chosen, not swept.
 const ROUNDS: usize = 6;
 /// The same of a fit that begins where one has ended: the last is by the tiles and the weight that
-/// the first one found.
+/// the first one found. Chosen, not swept.
 const ROUNDS_AGAIN: usize = 2;
 
 /// A tile's mean is taken to be known to this part of the standard deviation of its readings at
