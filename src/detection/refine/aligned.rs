@@ -204,6 +204,7 @@ impl Aligned {
             mean_square: self.fit.mean_square,
             inlier_ratio: self.fit.inlier_ratio,
             samples: self.fit.samples,
+            own_light: false,
         }
     }
 

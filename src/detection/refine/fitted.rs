@@ -24,6 +24,8 @@ pub(super) struct Fitted {
     pub(super) noise: Noise,
     /// Inlier ratio: the share of samples that agree with the model.
     pub(super) inlier_ratio: f64,
+    /// Whether it was fitted with light of its own.
+    pub(super) lit: bool,
 }
 
 impl Fitted {
@@ -78,7 +80,8 @@ impl Fitted {
 
     pub(super) fn quality(&self) -> Quality {
         let samples = self.fit.residuals.effective.max(1.0);
-        Quality { mean_square: self.fit.mean_square, inlier_ratio: self.inlier_ratio, samples }
+        let (mean_square, inlier_ratio) = (self.fit.mean_square, self.inlier_ratio);
+        Quality { mean_square, inlier_ratio, samples, own_light: self.lit }
     }
 
     /// The covariance of the position for a mean variance of 1 per axis.

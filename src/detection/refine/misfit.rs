@@ -31,6 +31,8 @@ pub(super) struct Quality {
     pub inlier_ratio: f64,
     /// Their number.
     pub samples: f64,
+    /// Whether the light is the corner's own: it then says nothing of the others.
+    pub own_light: bool,
 }
 
 /// The medians over a board.
@@ -51,6 +53,11 @@ impl CornerMisfit {
     /// Forgets all corners.
     pub fn clear(&mut self) {
         self.of_corners.clear();
+    }
+
+    /// Whether the corner of this number was fitted with light of its own.
+    pub fn has_own_light(&self, corner: usize) -> bool {
+        self.of_corners.get(corner).copied().flatten().is_some_and(|quality| quality.own_light)
     }
 
     /// Takes the next corner's quality.
@@ -74,6 +81,20 @@ impl CornerMisfit {
             .map(move |quality| quality.is_some_and(|quality| quality.mean_square > most))
     }
 
+    /// For each corner whether it leaves more than this many times the mean square that the closest
+    /// quarter of them keeps below: a highlight may lie on half of a board.
+    pub fn worse_than_closest(&mut self, times: f64) -> impl Iterator<Item = bool> + '_ {
+        let Self { of_corners, sorted } = self;
+        sorted.clear();
+        sorted.extend(of_corners.iter().flatten().map(|quality| quality.mean_square));
+        sorted.sort_unstable_by(f64::total_cmp);
+        let enough = sorted.len() >= FEWEST_CORNERS;
+        let most = if enough { times * sorted[sorted.len() / 4] } else { f64::INFINITY };
+        of_corners
+            .iter()
+            .map(move |quality| quality.is_some_and(|quality| quality.mean_square > most))
+    }
+
     /// For each corner the factor on the standard deviation predicted by its own residuals; `None`
     /// where it is rejected beside the others.
     pub fn std_factors(&mut self) -> impl Iterator<Item = Option<f64>> + '_ {
@@ -82,6 +103,10 @@ impl CornerMisfit {
             let (quality, Some(medians)) = ((*quality)?, medians) else { return Some(1.0) };
             let times = (quality.mean_square / medians.mean_square).max(LEAST_TIMES);
             let excess = (times - 1.0 - CHANCE * (2.0 / quality.samples).sqrt()).max(0.0);
+            // In its own light a corner may well fit closer than the others.
+            if quality.own_light && excess == 0.0 {
+                return Some(1.0);
+            }
             let no_corner =
                 times > NO_CORNER.0 && quality.inlier_ratio < NO_CORNER.1 * medians.inlier_ratio;
             (!no_corner).then_some((1.0 + excess * (PULL[0] + PULL[1] * excess)) / times.sqrt())
@@ -93,7 +118,7 @@ impl CornerMisfit {
         let Self { of_corners, sorted } = self;
         let mut median = |of: fn(&Quality) -> f64| {
             sorted.clear();
-            sorted.extend(of_corners.iter().flatten().map(of));
+            sorted.extend(of_corners.iter().flatten().filter(|it| !it.own_light).map(of));
             median_of(sorted).filter(|_| sorted.len() >= FEWEST_CORNERS)
         };
         let (mean_square, inlier_ratio) = (median(|q| q.mean_square)?, median(|q| q.inlier_ratio)?);
@@ -112,6 +137,7 @@ mod tests {
                 mean_square,
                 inlier_ratio,
                 samples: 450.0,
+                own_light: false,
             }));
         }
         misfit.std_factors().collect()
@@ -147,11 +173,33 @@ mod tests {
     fn what_fits_much_worse_contributes_nothing() {
         let mut misfit = CornerMisfit::default();
         for mean_square in [1.0, 1.1, 0.9, 1.0, 1.2, 1.0, 2.0, 1.0, 5.0] {
-            misfit.take(Some(Quality { mean_square, inlier_ratio: 0.9, samples: 100.0 }));
+            misfit.take(Some(Quality {
+                mean_square,
+                inlier_ratio: 0.9,
+                samples: 100.0,
+                own_light: false,
+            }));
         }
         misfit.take(None);
         let fits: Vec<bool> = misfit.fits().collect();
         assert_eq!(fits, [true, true, true, true, true, true, true, true, false, false]);
+    }
+
+    #[test]
+    fn half_a_board_may_fit_worse_than_the_closest_quarter() {
+        let mut misfit = CornerMisfit::default();
+        for mean_square in [1.0, 1.1, 0.9, 1.0, 3.0, 3.1, 2.9, 5.0] {
+            misfit.take(Some(Quality {
+                mean_square,
+                inlier_ratio: 0.9,
+                samples: 100.0,
+                own_light: false,
+            }));
+        }
+        misfit.take(None);
+        let worse: Vec<bool> = misfit.worse_than_closest(1.6).collect();
+        assert_eq!(worse, [false, false, false, false, true, true, true, true, false]);
+        assert!(misfit.worse_than(1.6).filter(|worse| *worse).count() < 4);
     }
 
     #[test]

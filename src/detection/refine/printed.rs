@@ -38,7 +38,7 @@ impl Refiner {
             for (slot, corner) in corners.iter().enumerate() {
                 let Some(first) = self.fitted[slot] else { continue };
                 let print = Some((slot, Nearby { print: &*print, rendering }));
-                let beside = Beside { print, shaded: self.shaded[slot] };
+                let beside = Beside { print, shaded: self.shaded[slot], light: None };
                 let second = self
                     .fit_within_board(image, corner, &first, noise, beside)
                     .filter(|second| second.may_be_corner(corner, &self.thresholds));
@@ -81,7 +81,7 @@ impl Refiner {
     }
 
     /// Median of the powers of the corners' gray values that are in proportion to light.
-    fn median_power(&mut self) -> Option<f64> {
+    pub(super) fn median_power(&mut self) -> Option<f64> {
         let powers = &mut self.powers;
         powers.clear();
         powers.extend(self.fitted.iter().flatten().map(|it| linear_power(&it.fit.model)));

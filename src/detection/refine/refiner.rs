@@ -1,7 +1,7 @@
 //! The refinement of a board's corners: two fits of each, compared and combined over the board.
 
 use crate::detection::refine::alignment::AlignedSamples;
-use crate::detection::refine::beside::{Beside, Nearby};
+use crate::detection::refine::beside::{Beside, LightOfItsOwn, Nearby};
 use crate::detection::refine::corner_model::{CornerModel, length};
 use crate::detection::refine::corner_std::CornerStd;
 use crate::detection::refine::fit::{FitOptions, fit};
@@ -32,6 +32,8 @@ pub struct Refiner {
     pub(super) taken: f64,
     pub(super) samples: Samples,
     pub(super) columns: ModelColumns,
+    /// The same of fits with light of a corner's own.
+    pub(super) lit_columns: ModelColumns,
     pub(super) lattice: Lattice,
     pub(super) noise: PooledNoise,
     pub(super) scatter: Scatter,
@@ -56,8 +58,12 @@ pub struct Refiner {
     /// Widths of the blur at the corners.
     pub(super) blurs_px: Vec<f64>,
     pub(super) powers: Vec<f64>,
-    /// Of each corner, whether its light is its own.
+    /// Of each corner, whether it fits worse than the others: its light may be its own.
     pub(super) shaded: Vec<bool>,
+    /// The same beside those that fit closest.
+    may_be_lit: Vec<bool>,
+    /// Of each corner, under which light it may be fitted besides the board's.
+    light: Vec<Option<LightOfItsOwn>>,
     /// The last window of a first fit.
     pub(super) quarter_means: [f64; 2],
 }
@@ -100,6 +106,7 @@ impl Refiner {
         self.lattice.fill(corners, &self.known);
         if print.is_none() {
             self.shaded.fill(false);
+            self.may_be_lit.fill(false);
         }
         let mut print = print;
         let rendering = print.as_deref_mut().and_then(|it| self.fit_printed(image, corners, it));
@@ -119,24 +126,57 @@ impl Refiner {
         nearby: Option<Nearby<'_>>,
         refined: &mut Vec<Option<RefinedCorner>>,
     ) {
-        let noise = self.noise.of_pixels();
+        // Print that is blurred into windows is taken off in the board's light.
+        let may_be_lit = nearby.is_none() && self.may_be_lit.contains(&true);
+        let power = if may_be_lit { self.median_power() } else { None };
+        let light = |most_left| power.map(|power| LightOfItsOwn { power, most_left });
+        let alone = light(self.thresholds.lit_alone);
+        self.light.clear();
+        self.light.extend(self.may_be_lit.iter().map(|&may| alone.filter(|_| may)));
         let fitted = std::mem::take(&mut self.fitted);
+        let lit = self.fit_each_again(image, corners, &fitted, nearby, refined);
+        if lit > 0 {
+            let in_highlight = light(self.thresholds.lit_in_highlight);
+            self.light.fill(in_highlight.filter(|_| lit >= self.thresholds.fewest_lit));
+            self.fit_each_again(image, corners, &fitted, nearby, refined);
+        }
+        self.fitted = fitted;
+        self.curve_edges(corners, refined);
+        self.set_stds(refined);
+    }
+
+    /// The second fit of each corner; how many of them have light of their own.
+    fn fit_each_again(
+        &mut self,
+        image: GrayView<'_>,
+        corners: &[GridCorner],
+        fitted: &[Option<Fitted>],
+        nearby: Option<Nearby<'_>>,
+        refined: &mut Vec<Option<RefinedCorner>>,
+    ) -> usize {
+        let noise = self.noise.of_pixels();
+        let mut lit = 0;
         refined.clear();
         self.misfit.clear();
+        self.scatter.clear();
         self.straightness.clear();
         self.shapes.clear();
         self.own_curvatures.clear();
-        for (slot, (corner, first)) in corners.iter().zip(&fitted).enumerate() {
-            let beside = Beside { print: nearby.map(|it| (slot, it)), shaded: self.shaded[slot] };
+        for (slot, (corner, first)) in corners.iter().zip(fitted).enumerate() {
+            let (shaded, light) = (self.shaded[slot], self.light[slot]);
+            let beside = Beside { print: nearby.map(|it| (slot, it)), shaded, light };
             let second = first
                 .as_ref()
                 .and_then(|first| self.fit_within_board(image, corner, first, noise, beside));
             let second = second.filter(|second| second.is_corner(corner, &self.thresholds));
             self.misfit.take(second.as_ref().map(Fitted::quality));
-            if let Some(second) = second.as_ref().filter(|_| self.is_compared(corners, corner)) {
+            lit += usize::from(second.as_ref().is_some_and(|second| second.lit));
+            // What its samples say with light of its own is not the board's.
+            let plain = second.as_ref().filter(|second| !second.lit);
+            if let Some(second) = plain.filter(|_| self.is_compared(corners, corner)) {
                 self.note_scatter(refined.len(), second);
             }
-            self.own_curvatures.push(second.as_ref().map_or([None; 2], |second| {
+            self.own_curvatures.push(plain.map_or([None; 2], |second| {
                 own_curvatures(&self.samples, &self.columns, &second.fit, &second.window)
             }));
             self.shapes.push(second.as_ref().map_or([1.0, 0.0, 1.0], Fitted::shape));
@@ -145,9 +185,7 @@ impl Refiner {
             }
             refined.push(second.as_ref().map(Fitted::refined));
         }
-        self.fitted = fitted;
-        self.curve_edges(corners, refined);
-        self.set_stds(refined);
+        lit
     }
 
     /// Moves corners by how much more curved their edges are than in the second fit, as the windows
@@ -180,6 +218,8 @@ impl Refiner {
             .for_each(|fitted| self.misfit.take(fitted.as_ref().map(Fitted::quality)));
         self.shaded.clear();
         self.shaded.extend(self.misfit.worse_than(self.thresholds.shaded));
+        self.may_be_lit.clear();
+        self.may_be_lit.extend(self.misfit.worse_than_closest(self.thresholds.may_be_lit));
         self.known.clear();
         let fits = self.misfit.fits();
         self.known.extend(
@@ -197,8 +237,10 @@ impl Refiner {
         self.misfit_factors.extend(self.misfit.std_factors());
         let scatter = self.scatter.std_factor(&self.misfit_factors);
         self.stds.clear();
-        for (corner, misfit) in refined.iter_mut().zip(&self.misfit_factors) {
+        for (slot, (corner, misfit)) in refined.iter_mut().zip(&self.misfit_factors).enumerate() {
             *corner = corner.filter(|_| misfit.is_some());
+            // What fits in the board's light leave says nothing of those in other light.
+            let scatter = if self.misfit.has_own_light(slot) { 1.0 } else { scatter };
             let fit_px = corner.map_or(0.0, |corner| corner.std_px);
             let misfit = misfit.unwrap_or(1.0);
             self.stds.push(CornerStd { fit_px, misfit, scatter, straightness: 1.0 });
@@ -259,6 +301,7 @@ impl Refiner {
             fit,
             noise: *noise,
             inlier_ratio: fit.residuals.effective / self.samples.count as f64,
+            lit: false,
         })
     }
 

@@ -1,13 +1,14 @@
 //! The second fit of a corner: in a large window, with the edges' curvature, the light and the
 //! noise estimated from the whole board.
 
-use crate::detection::refine::beside::{Beside, Nearby};
+use crate::detection::refine::beside::{Beside, LightOfItsOwn, Nearby};
 use crate::detection::refine::corner_model::{CornerModel, length};
 use crate::detection::refine::fit::{FitOptions, position_covariance};
 use crate::detection::refine::fitted::Fitted;
 use crate::detection::refine::grid_corner::GridCorner;
 use crate::detection::refine::lattice::axes_of;
 use crate::detection::refine::normal_equations::{CornerEquations, Linearized, Noise};
+use crate::detection::refine::own_light::OwnLight;
 use crate::detection::refine::refiner::Refiner;
 use crate::detection::refine::shading::{joint_step, take_off_shading};
 use crate::detection::refine::window::Window;
@@ -54,8 +55,16 @@ impl Refiner {
             with_flat: beside.print.is_some(),
         };
         let second = self.fit(window, start, &noise, &options)?;
+        let lit = beside.light.and_then(|light| self.fit_lit(window, &second, &noise, light));
         if beside.shaded {
-            return self.fit_shaded(window, second.fit.model, &noise, &options);
+            let shaded = self.fit_shaded(window, second.fit.model, &noise, &options);
+            return [lit, shaded]
+                .into_iter()
+                .flatten()
+                .min_by(|a, b| a.fit.mean_square.total_cmp(&b.fit.mean_square));
+        }
+        if lit.is_some() {
+            return lit;
         }
         if second.inlier_ratio > self.thresholds.clear_inliers {
             return Some(second);
@@ -73,6 +82,29 @@ impl Refiner {
         self.fit(window, start, &noise, &options)
     }
 
+    /// A fit of a corner and its own light; `None` where that leaves hardly less than the fit in
+    /// the board's light, `second`.
+    fn fit_lit(
+        &mut self,
+        window: Window,
+        second: &Fitted,
+        noise: &Noise,
+        light: LightOfItsOwn,
+    ) -> Option<Fitted> {
+        let corner_and_light = OwnLight {
+            samples: &self.samples,
+            noise,
+            tolerances: &self.thresholds.shaded_tolerances,
+            reach: reach(&window),
+            power: light.power,
+            enough: self.thresholds.second_enough,
+        };
+        let fit = corner_and_light.fit(second.fit.model, &mut self.lit_columns)?;
+        let inlier_ratio = fit.residuals.effective / self.samples.count as f64;
+        let lit = Fitted { window, fit, noise: *noise, inlier_ratio, lit: true };
+        (fit.mean_square < light.most_left * second.fit.mean_square).then_some(lit)
+    }
+
     /// Fits of a corner under light of its own, each after more of that is taken off; at last one
     /// step of both together.
     fn fit_shaded(
@@ -82,22 +114,27 @@ impl Refiner {
         noise: &Noise,
         options: &FitOptions,
     ) -> Option<Fitted> {
-        let reach = [0, 1].map(|k| window.extent[k] * length(window.axes[k]) / window.bin as f64);
+        let reach = reach(&window);
         let amplitude = model.amplitude.abs();
         for tolerance in self.thresholds.shaded_tolerances {
             let patient = Noise { tolerance: noise.tolerance + tolerance * amplitude, ..*noise };
             let options = FitOptions { iterations: [1, 4], ..*options };
             model = self.fit(window, model, &patient, &options)?.fit.model;
-            take_off_shading(&mut self.samples, &self.columns, reach[0].max(reach[1]));
+            take_off_shading(&mut self.samples, &self.columns, reach);
         }
         let mut fitted = self.fit(window, model, noise, options)?;
         let mut equations = CornerEquations::default();
         let linearized = Linearized { samples: &self.samples, noise, with_flat: false };
         linearized.at(&fitted.fit.model, &mut self.columns, &mut equations);
-        let joint =
-            joint_step(&mut self.samples, &self.columns, reach[0].max(reach[1]), amplitude)?;
+        let joint = joint_step(&mut self.samples, &self.columns, reach, amplitude)?;
         fitted.fit.model = fitted.fit.model.moved_by(&joint.step);
         fitted.fit.covariance = position_covariance(joint.offset_covariance, &fitted.fit.model);
         Some(fitted)
     }
+}
+
+/// Half the extent of a window, in samples.
+fn reach(window: &Window) -> f64 {
+    let along = |k: usize| window.extent[k] * length(window.axes[k]) / window.bin as f64;
+    along(0).max(along(1))
 }

@@ -56,6 +56,17 @@ thresholds! {
         shaded: f64 = 1.6, "medians", ThresholdOrigin::Swept;
         /// Added to the tolerance while light is removed, fit by fit.
         shaded_tolerances: [f64; 4] = [0.5, 0.3, 0.15, 0.05], "amplitudes (the first of four)", ThresholdOrigin::Swept;
+        /// Corners with this many times the mean square of the closest quarter are tried with light
+        /// of their own, in light, not in gray values (1.2 to 2 swept).
+        may_be_lit: f64 = 1.6, "mean squares", ThresholdOrigin::Swept;
+        /// And have it where that leaves less than this part.
+        lit_alone: f64 = 0.5, "share", ThresholdOrigin::Derived("it explains more than it leaves");
+        /// A highlight is seen where this many corners have light of their own: of photographs
+        /// without one, up to two have.
+        fewest_lit: usize = 3, "corners", ThresholdOrigin::Derived("they span an area");
+        /// In a highlight, every corner has light of its own where that leaves less than this
+        /// part (0.7 to 0.9 swept).
+        lit_in_highlight: f64 = 0.8, "share", ThresholdOrigin::Swept;
         /// A first fit has converged with at least this inlier ratio.
         least_settled_inliers: f64 = 0.4, "share", ThresholdOrigin::Swept;
         /// And a last step below this.
