@@ -254,14 +254,9 @@ impl pulp::NullaryFnOnce for Linearize<'_> {
             let t = f64::from(patterns[slot]);
             let value = f64::from(values[slot]) + t;
             let terms = terms(f64::from(*x) / what.reach, f64::from(*y) / what.reach);
-            let mut mean = 0.0;
-            for k in 0..MEAN_TERMS {
-                mean += lit.light[k] * terms[k];
-            }
-            let mut contrast = 0.0;
-            for k in 0..CONTRAST_TERMS {
-                contrast += lit.light[MEAN_TERMS + k] * terms[k];
-            }
+            let (of_mean, of_contrast) = lit.light.split_at(MEAN_TERMS);
+            let sum = |of: &[f64]| of.iter().zip(&terms).map(|(a, b)| a * b).sum::<f64>();
+            let (mean, contrast) = (sum(of_mean), sum(of_contrast));
             let light = (mean + contrast * t).max(least);
             let gray = WHITE * light.powf(root);
             let silent = value > f64::from(AT_WHITE) && gray > f64::from(AT_WHITE);
@@ -271,8 +266,8 @@ impl pulp::NullaryFnOnce for Linearize<'_> {
             let trust = doubt / std;
             let by_light = if silent { 0.0 } else { trust * root * gray / light };
             let mut row = [0.0; ROOM];
-            for k in 0..SHAPES {
-                row[k] = by_light * contrast * f64::from(columns.values(k)[slot]);
+            for (k, entry) in row.iter_mut().enumerate().take(SHAPES) {
+                *entry = by_light * contrast * f64::from(columns.values(k)[slot]);
             }
             for k in 0..MEAN_TERMS {
                 row[SHAPES + k] = by_light * terms[k];

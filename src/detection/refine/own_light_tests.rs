@@ -88,12 +88,6 @@ fn corners_under_a_highlight_scatter_as_stated() {
         plain_px2 += px2(off(&plain)) / SEEDS as f64;
         (0..2).for_each(|k| mean[k] += off(&lit)[k] / SEEDS as f64);
     }
-    println!(
-        "z {:.2}, {:.4} px (in the board's light {:.4}), mean {mean:.4?}",
-        lit_z2.sqrt(),
-        lit_px2.sqrt(),
-        plain_px2.sqrt()
-    );
     assert!((0.9..1.15).contains(&lit_z2.sqrt()), "{}", lit_z2.sqrt());
     assert!(plain_px2 > 25.0 * lit_px2, "{plain_px2} {lit_px2}");
     assert!(mean.iter().all(|off| off.abs() < 0.003), "{mean:?}");
