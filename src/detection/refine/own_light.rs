@@ -31,13 +31,13 @@ const DARKEST: f64 = 2.0;
 /// Standard deviation of each term but the constant ones beforehand, in amplitudes, as of
 /// [`super::shading`].
 const LIGHT_STD: f64 = 1.0;
-/// Least contrast that this is a share of, in light, white being 1: that of two gray levels in the
-/// dark.
+/// Least contrast that this is a share of, in light, white being 1: that of the first four gray
+/// levels, as a highlight's core may have none.
 const LEAST_CONTRAST: f64 = 1e-4;
 /// Fewest samples below white that determine all unknowns and their residuals' scale.
 const FEWEST_SAMPLES: f64 = 3.0 * UNKNOWNS as f64;
-/// Linearizations at each tolerance (once, errors under highlights were larger by half), and at the
-/// last one.
+/// Linearizations at each tolerance (with one, errors under highlights were larger by half), and at
+/// most at the last one (chosen, not swept).
 const ROUNDS: usize = 2;
 const LAST_ROUNDS: usize = 6;
 
