@@ -111,7 +111,7 @@ impl OwnLight<'_> {
         let linearized = Linearized { samples: self.samples, noise: &plain, with_flat: false };
         linearized.at(&lit.corner, columns, &mut CornerEquations::default());
         let mut sums = Sums::default();
-        pulp::Arch::new().dispatch(Linearize {
+        pulp::Arch::new().dispatch(TakeLit {
             what: self,
             lit,
             tolerance2: tolerance * tolerance,
@@ -228,7 +228,7 @@ impl Sums {
 }
 
 /// A struct, not a closure: all of it must be inlined to be compiled for the processor.
-struct Linearize<'a> {
+struct TakeLit<'a> {
     what: &'a OwnLight<'a>,
     lit: &'a LitCorner,
     tolerance2: f64,
@@ -236,7 +236,7 @@ struct Linearize<'a> {
     sums: &'a mut Sums,
 }
 
-impl pulp::NullaryFnOnce for Linearize<'_> {
+impl pulp::NullaryFnOnce for TakeLit<'_> {
     type Output = ();
 
     #[inline(always)]
