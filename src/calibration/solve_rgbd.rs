@@ -14,8 +14,9 @@ use crate::estimation::error::EstimationError;
 use crate::estimation::measured_board::MeasuredBoard;
 use crate::estimation::problem::{BoardView, Correspondence, Shutter};
 use crate::estimation::rgbd::halves::{RgbdDifference, RgbdHalves};
-use crate::estimation::rgbd::{RgbdEstimate, RgbdProblem, RgbdView, calibrate_rgbd};
+use crate::estimation::rgbd::{RgbdEstimate, RgbdFit, RgbdProblem, RgbdView, calibrate_rgbd};
 use crate::estimation::rig::FrameSetView;
+use crate::geometry::depth_camera::PosedDepthLens;
 use crate::geometry::pose::Pose;
 use crate::imaging::depth_image::DepthImage;
 
@@ -111,26 +112,8 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
     let input = placed.as_ref().unwrap_or(&labeled);
     let infrared = with_infrared.then(|| infrared_alone(input)).transpose()?;
     let mut guess = Guess::of(input, depth_size, &color, options, infrared.as_ref());
-    let rounds = if infrared.is_some() { 1 } else { 3 };
-    let mut solved: Option<(RgbdEstimate, Measured)> = None;
-    for round in 0..rounds {
-        let margin = if rounds == 1 || round > 0 { MARGIN_SQUARES } else { 0.0 };
-        options.interrupt.check().map_err(RgbdError::Joint)?;
-        let measured = match (guess.measured(input, margin), &solved) {
-            (Err(RgbdError::TooLittleDepth { .. }), Some((_, before))) => {
-                return Err(before.lens_elsewhere());
-            }
-            (measured, _) => measured?,
-        };
-        let joint = calibrate_rgbd(&measured.problem).map_err(|error| match error {
-            EstimationError::NoFit => RgbdError::NotOneDevice,
-            other => RgbdError::Joint(other),
-        })?;
-        guess.lens = joint.depth.lens;
-        guess.depth_from_color = joint.color_from_depth.inverse();
-        solved = Some((joint, measured));
-    }
-    let (joint, measured) = solved.ok_or(RgbdError::Joint(EstimationError::NoFit))?;
+    let measured = measured_where_depth_sees_it(input, &mut guess, infrared.is_some(), options)?;
+    let joint = calibrate_rgbd(&measured.problem).map_err(of_joint)?;
     check_joint(&joint, measured.problem.depth_lens)?;
     let Measured { problem, frame_set_of_view, without_depth } = measured;
     let halves = RgbdHalves::of(&problem, &joint);
@@ -157,6 +140,38 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
         stated_infrared,
         without_depth,
     })
+}
+
+/// The board's surface in every depth image, found by the lens and pose of depth that it gives: where
+/// no infrared image has these, it is found, fitted and found again.
+fn measured_where_depth_sees_it(
+    input: &RgbdInput,
+    guess: &mut Guess,
+    with_infrared: bool,
+    options: &CameraOptions,
+) -> Result<Measured, RgbdError> {
+    if with_infrared {
+        return guess.measured(input, MARGIN_SQUARES);
+    }
+    let mut measured = guess.measured(input, 0.0)?;
+    for _ in 0..2 {
+        options.interrupt.check().map_err(RgbdError::Joint)?;
+        let PosedDepthLens { lens, depth_from_color } =
+            RgbdFit::of(&measured.problem).map_err(of_joint)?.depth();
+        (guess.lens, guess.depth_from_color) = (lens, depth_from_color);
+        measured = guess.measured(input, MARGIN_SQUARES).map_err(|error| match error {
+            RgbdError::TooLittleDepth { .. } => measured.lens_elsewhere(),
+            other => other,
+        })?;
+    }
+    Ok(measured)
+}
+
+fn of_joint(error: EstimationError) -> RgbdError {
+    match error {
+        EstimationError::NoFit => RgbdError::NotOneDevice,
+        other => RgbdError::Joint(other),
+    }
 }
 
 /// The same with each corner where `board` was measured to have it.

@@ -8,6 +8,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::estimation::interrupt::Interrupt;
 use crate::estimation::joint::depth_terms::correction_columns;
+use crate::estimation::row_products::SparseRowProducts;
 use crate::geometry::depth_camera::DepthTile;
 use crate::geometry::depth_correction::{CorrectedQuantity, DepthCorrection, SplineGrid};
 use crate::geometry::pixel::ImageSize;
@@ -269,16 +270,15 @@ fn folds(views: &[Vec<JudgedTile>], form: &DepthCorrection) -> Vec<Fold> {
     let mut columns = Vec::new();
     for (view, fold) in views.iter().zip(fold_of_each(views)) {
         let fold = &mut folds[fold];
+        let mut products = SparseRowProducts::default();
         for judged in view {
             let residual = rows(form, judged, &mut columns);
-            for (i, di) in &columns {
-                fold.right[*i] -= di * residual;
-                for (j, dj) in &columns {
-                    fold.hessian[(*i, *j)] += di * dj;
-                }
-            }
+            products.push(&columns, &mut fold.hessian);
+            columns.iter().for_each(|(column, value)| fold.right[*column] -= value * residual);
         }
+        products.add_all(&mut fold.hessian);
     }
+    folds.iter_mut().for_each(|fold| fold.hessian.fill_lower_triangle_with_upper_triangle());
     folds
 }
 

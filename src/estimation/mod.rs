@@ -53,6 +53,7 @@ pub mod rgbd;
 pub mod rig;
 pub(crate) mod robust;
 mod robust_fit;
+mod row_products;
 pub(crate) mod scaled_factor;
 pub mod scene;
 mod shape_widening;

@@ -55,6 +55,13 @@ pub struct NodeWeights {
     pub len: usize,
 }
 
+impl NodeWeights {
+    /// The nodes that matter, each with its weight.
+    pub fn used(&self) -> impl Iterator<Item = (usize, f64)> + '_ {
+        self.nodes.iter().copied().zip(self.weights.iter().copied()).take(self.len)
+    }
+}
+
 impl SplineGrid {
     /// One constant for the whole image.
     pub fn constant(size: ImageSize) -> Self {
@@ -145,7 +152,11 @@ impl DepthCorrection {
 
     /// The polynomial at one pixel.
     pub fn at(&self, pixel: Pixel) -> PixelCorrection {
-        let weights = self.grid.weights(pixel);
+        self.at_nodes(&self.grid.weights(pixel))
+    }
+
+    /// The polynomial at the pixel that has these weights in the correction's grid.
+    pub fn at_nodes(&self, weights: &NodeWeights) -> PixelCorrection {
         let count = self.grid.node_count();
         let mut at = PixelCorrection {
             quantity: self.quantity,
@@ -155,9 +166,8 @@ impl DepthCorrection {
         for (power, term) in at.terms.iter_mut().enumerate().take(self.terms) {
             let nodes =
                 self.coefficients.get(power * count..(power + 1) * count).unwrap_or_default();
-            let used = weights.nodes.iter().zip(&weights.weights).take(weights.len);
-            *term =
-                used.map(|(node, weight)| nodes.get(*node).copied().unwrap_or(0.0) * weight).sum();
+            let value = |(node, weight)| nodes.get(node).copied().unwrap_or(0.0) * weight;
+            *term = weights.used().map(value).sum();
         }
         at
     }

@@ -17,11 +17,13 @@ use nalgebra::{Matrix2, Vector3};
 
 use crate::estimation::joint::linearize::LinearizationPoint;
 use crate::estimation::joint::normal::{ChainedPose, NormalEquations};
+use crate::estimation::row_products::SparseRowProducts;
 use crate::geometry::depth_camera::DepthTile;
 use crate::geometry::depth_correction::{
-    CorrectedQuantity, DepthCorrection, MAX_TERMS, held_inverse_depth, power_slope,
+    CorrectedQuantity, DepthCorrection, MAX_TERMS, PixelCorrection, held_inverse_depth, power_slope,
 };
 use crate::geometry::lens::Lens;
+use crate::geometry::pose::Pose;
 
 /// The board's surface as the depth sensor measured it at one frame set.
 #[derive(Debug, Clone)]
@@ -62,11 +64,19 @@ pub(crate) fn add_planes(
 ) -> Vec<Vec<f64>> {
     let LinearizationPoint { layout, state } = at;
     let mut row = DepthRow { residual: 0.0, globals: Vec::new(), by_pose: [0.0; 6] };
+    // Tiles in one cell of the correction's grid have the same globals.
+    let mut products = SparseRowProducts::default();
     let residuals = observations.iter().map(|observation| {
+        let sensor_from_board = state.sensor_from_board(observation.sensor, observation.frame_set);
         let chained = (observation.sensor != 0)
             .then(|| ChainedPose::of(layout, state, observation.sensor, observation.frame_set));
         let each = (0..observation.tiles.len()).map(|index| {
-            if !linearize_tile(at, correction, observation, index, &mut row) {
+            let tile = WeightedTile {
+                tile: &observation.tiles[index],
+                inverse_std: observation.inverse_std[index],
+                sensor: observation.sensor,
+            };
+            if !linearize_tile(at, correction, &sensor_from_board, tile, &mut row) {
                 return f64::INFINITY;
             }
             if observation.used[index] {
@@ -82,14 +92,18 @@ pub(crate) fn add_planes(
                     }
                 };
                 add_row(equations, observation.frame_set, free, &row, &by_board);
+                products.push(&row.globals, &mut equations.global);
             }
             row.residual
         });
         each.collect()
     });
-    residuals.collect()
+    let residuals = residuals.collect();
+    products.add_all(&mut equations.global);
+    residuals
 }
 
+/// Adds a row to all but the globals' block.
 fn add_row(
     equations: &mut NormalEquations,
     frame_set: usize,
@@ -108,14 +122,11 @@ fn add_row(
         }
     }
     let size = equations.global_gradient.len();
-    let upper = equations.global.as_mut_slice();
-    for (k, (i, di)) in row.globals.iter().enumerate() {
-        equations.global_gradient[*i] += di * row.residual;
-        for (j, dj) in &row.globals[k..] {
-            upper[i.max(j) * size + i.min(j)] += di * dj;
-        }
-        for (coupling, db) in equations.coupling[frame_set * size + i].iter_mut().zip(by_board) {
-            *coupling += di * db;
+    let couplings = &mut equations.coupling[frame_set * size..(frame_set + 1) * size];
+    for (index, value) in &row.globals {
+        equations.global_gradient[*index] += value * row.residual;
+        for (coupling, by_board) in couplings[*index].iter_mut().zip(by_board) {
+            *coupling += value * by_board;
         }
     }
 }
@@ -123,44 +134,55 @@ fn add_row(
 /// A correction that leaves less than this part of a difference in 1/z is none.
 const LEAST_GAIN: f64 = 0.1;
 
+/// A tile of an observation.
+#[derive(Clone, Copy)]
+struct WeightedTile<'a> {
+    tile: &'a DepthTile,
+    /// 1 over its standard deviation, in m.
+    inverse_std: f64,
+    sensor: usize,
+}
+
 /// Answers false where the lens sees nothing, the plane is edge-on, or the correction flattens
 /// depth.
 fn linearize_tile(
     at: LinearizationPoint<'_>,
     CorrectionColumns { correction, first }: CorrectionColumns<'_>,
-    observation: &PlaneObservation,
-    index: usize,
+    sensor_from_board: &Pose,
+    WeightedTile { tile, inverse_std, sensor }: WeightedTile<'_>,
     row: &mut DepthRow,
 ) -> bool {
-    let state = at.state;
-    let (tile, inverse_std) = (&observation.tiles[index], observation.inverse_std[index]);
-    let sensor_from_board = state.sensor_from_board(observation.sensor, observation.frame_set);
-    let lens = &state.lenses[observation.sensor];
+    let lens = &at.state.lenses[sensor];
     let Some(ray) = ray(lens, tile) else { return false };
-    let normal = sensor_from_board * Vector3::z();
+    let normal = *sensor_from_board * Vector3::z();
     let translation = sensor_from_board.translation();
     let distance = normal.dot(&translation);
     let plane = normal.dot(&ray) / distance;
-    let Some(corrected) = correction.correct(tile.pixel, tile.inverse_depth) else { return false };
-    let gain = correction.at(tile.pixel).gain(tile.inverse_depth);
+    let weights = correction.grid.weights(tile.pixel);
+    let at_pixel = correction.at_nodes(&weights);
+    let corrected = at_pixel.correct(tile.inverse_depth);
+    let gain = at_pixel.gain(tile.inverse_depth);
     let inverse_std = inverse_std / gain;
     row.residual = (corrected - plane) * inverse_std;
-    if !(gain > LEAST_GAIN && row.residual.is_finite()) {
+    if !(corrected > 0.0 && gain > LEAST_GAIN && row.residual.is_finite()) {
         return false;
     }
     row.globals.clear();
-    let globals = &mut row.globals;
-    correction_columns(correction, tile, |index, value| {
-        globals.push((first + index, value * inverse_std));
-    });
+    let corrected_by = corrected_by_terms(correction, &at_pixel, tile.inverse_depth);
+    let gain_by = gain_by_terms(correction, &at_pixel, tile.inverse_depth);
     let by_gain = -row.residual / gain;
-    // The same coefficients in the same order.
-    let mut entries = globals.iter_mut();
-    gain_columns(correction, tile, |_, value| {
-        entries.next().into_iter().for_each(|entry| entry.1 += value * by_gain);
-    });
+    let count = correction.grid.node_count();
+    for (term, (corrected_by, gain_by)) in
+        corrected_by.iter().zip(&gain_by).enumerate().take(correction.terms)
+    {
+        let by_term = corrected_by * inverse_std + gain_by * by_gain;
+        let at_term = first + term * count;
+        row.globals.extend(weights.used().map(|(node, weight)| (at_term + node, weight * by_term)));
+    }
     let by_ray = normal * (-inverse_std / distance);
-    add_lens_columns(at, observation.sensor, &ray, &by_ray, &mut row.globals);
+    if !add_lens_columns(at, sensor, &ray, &by_ray, &mut row.globals) {
+        return false;
+    }
     let by_rotation =
         (normal.cross(&ray) - normal.cross(&translation) * plane) * (-inverse_std / distance);
     let by_translation = normal * (plane / distance * inverse_std);
@@ -188,65 +210,74 @@ pub(crate) fn correction_columns(
     mut put: impl FnMut(usize, f64),
 ) {
     let weights = correction.grid.weights(tile.pixel);
+    let at_pixel = correction.at_nodes(&weights);
+    let by_terms = corrected_by_terms(correction, &at_pixel, tile.inverse_depth);
     let count = correction.grid.node_count();
-    let held = held_inverse_depth(tile.inverse_depth, correction.seen_m);
+    for (term, by_term) in by_terms.iter().enumerate().take(correction.terms) {
+        weights.used().for_each(|(node, weight)| put(term * count + node, by_term * weight));
+    }
+}
+
+/// ∂(corrected 1/z)/∂(term of the polynomial) at a pixel.
+fn corrected_by_terms(
+    correction: &DepthCorrection,
+    at_pixel: &PixelCorrection,
+    inverse_depth: f64,
+) -> [f64; MAX_TERMS] {
+    let held = held_inverse_depth(inverse_depth, correction.seen_m);
     let (base, factor) = match correction.quantity {
         CorrectedQuantity::InverseDepth => (held, 1.0),
         CorrectedQuantity::Depth => {
-            let corrected = correction.at(tile.pixel).correct(tile.inverse_depth);
+            let corrected = at_pixel.correct(inverse_depth);
             (1.0 / held, -corrected * corrected)
         }
     };
     let mut power = factor;
-    for term in 0..correction.terms {
-        for (node, weight) in weights.nodes.iter().zip(&weights.weights).take(weights.len) {
-            put(term * count + node, power * weight);
-        }
+    [(); MAX_TERMS].map(|()| {
+        let by_term = power;
         power *= base;
-    }
+        by_term
+    })
 }
 
-/// ∂gain/∂(coefficient) for the coefficients that matter at a tile, in the order of
-/// [`correction_columns`]; none where the polynomial is held.
-fn gain_columns(correction: &DepthCorrection, tile: &DepthTile, mut put: impl FnMut(usize, f64)) {
-    if correction.terms == 0 || !correction.has_seen(tile.inverse_depth) {
-        return;
+/// ∂gain/∂(term of the polynomial) at a pixel; 0 where the polynomial is held.
+fn gain_by_terms(
+    correction: &DepthCorrection,
+    at_pixel: &PixelCorrection,
+    inverse_depth: f64,
+) -> [f64; MAX_TERMS] {
+    if !correction.has_seen(inverse_depth) {
+        return [0.0; MAX_TERMS];
     }
-    let weights = correction.grid.weights(tile.pixel);
-    let count = correction.grid.node_count();
-    let (at, inverse) = (correction.at(tile.pixel), tile.inverse_depth);
-    let by_term: [f64; MAX_TERMS] = match correction.quantity {
-        CorrectedQuantity::InverseDepth => std::array::from_fn(|k| power_slope(inverse, k)),
+    match correction.quantity {
+        CorrectedQuantity::InverseDepth => std::array::from_fn(|k| power_slope(inverse_depth, k)),
         CorrectedQuantity::Depth => {
-            let (z, corrected, gain) = (1.0 / inverse, at.correct(inverse), at.gain(inverse));
+            let z = 1.0 / inverse_depth;
+            let (corrected, gain) = (at_pixel.correct(inverse_depth), at_pixel.gain(inverse_depth));
             let stretch = (corrected * z).powi(2);
             std::array::from_fn(|k| {
                 stretch * power_slope(z, k) - 2.0 * corrected * gain * z.powi(k as i32)
             })
         }
-    };
-    for (term, by_term) in by_term.iter().enumerate().take(correction.terms) {
-        for (node, weight) in weights.nodes.iter().zip(&weights.weights).take(weights.len) {
-            put(term * count + node, by_term * weight);
-        }
     }
 }
 
 /// The pixel is fixed and the ray moves: ∂ray/∂parameters = −(∂pixel/∂ray)⁻¹ ∂pixel/∂parameters.
+/// Answers false where the lens does not see the ray.
 fn add_lens_columns(
     at: LinearizationPoint<'_>,
     sensor: usize,
     ray: &Vector3<f64>,
     by_ray: &Vector3<f64>,
     globals: &mut Vec<(usize, f64)>,
-) {
+) -> bool {
     let (lens, at) = (&at.state.lenses[sensor], &at.layout.sensors[sensor]);
     if at.lens.free.is_empty() {
-        return;
+        return true;
     }
-    let Some(projection) = lens.project(&(*ray).into()) else { return };
+    let Some(projection) = lens.project(&(*ray).into()) else { return false };
     let by_xy: Matrix2<f64> = projection.by_point.fixed_view::<2, 2>(0, 0).into_owned();
-    let Some(inverse) = by_xy.try_inverse() else { return };
+    let Some(inverse) = by_xy.try_inverse() else { return false };
     for (column, parameter) in at.lens.free.iter().enumerate() {
         let mut by_parameter = projection.by_parameters.column(*parameter).into_owned();
         if at.lens.square_pixels && *parameter == 0 {
@@ -255,4 +286,5 @@ fn add_lens_columns(
         let moved = -(inverse * by_parameter);
         globals.push((at.lens_at + column, by_ray.x * moved.x + by_ray.y * moved.y));
     }
+    true
 }

@@ -2,7 +2,7 @@
 //! block per frame set, and what couples them. Frame sets are eliminated one by one (Schur
 //! complement), so cost is linear in their number.
 
-use nalgebra::{DMatrix, DVector, Matrix6};
+use nalgebra::{DMatrix, DMatrixView, DVector, Matrix6};
 
 use crate::estimation::joint::linearize::{
     Columns, LinearizationPoint, LinearizedObservation, LocalEquations, linearize_observation,
@@ -25,6 +25,8 @@ pub(crate) struct NormalEquations {
     /// Per observation, per corner: (projected − observed) / std; infinite where nothing is
     /// projected.
     pub(crate) residuals: Vec<Vec<[f64; 2]>>,
+    /// Per plane, per tile, in standard deviations; infinite where the lens sees nothing.
+    pub(crate) tile_residuals: Vec<Vec<f64>>,
     /// Per observation, what it said by itself; empty where equations were put together otherwise.
     pub(crate) local: Vec<LocalEquations>,
 }
@@ -43,6 +45,10 @@ pub(crate) struct Step {
     pub(crate) frame_sets: Vec<[f64; 6]>,
     pub(crate) predicted_decrease: f64,
 }
+
+/// With at least so many global parameters, frame sets are eliminated by one product of matrices.
+/// Chosen, not swept: a single camera has fewer, a correction of depth has more.
+const LEAST_PRODUCT: usize = 32;
 
 /// The normal equations at `state`; `None` where a used corner cannot be projected, or
 /// an interrupt was requested.
@@ -97,6 +103,7 @@ impl NormalEquations {
             frame_sets: vec![LocalBlock::default(); frame_sets],
             coupling: vec![[0.0; 6]; frame_sets * global],
             residuals: Vec::new(),
+            tile_residuals: Vec::new(),
             local: Vec::new(),
         }
     }
@@ -199,14 +206,13 @@ impl NormalEquations {
             let half = &mut halves[frame_set * size..][..size];
             half.iter_mut().for_each(|row| *row = forward6(&factor, row));
             let half_gradient = forward6(&factor, &block.gradient);
-            for i in 0..size {
-                right[i] += dot6(&half[i], &half_gradient);
-                for j in 0..=i {
-                    schur[(i, j)] -= dot6(&half[i], &half[j]);
-                }
-            }
+            right
+                .iter_mut()
+                .zip(&*half)
+                .for_each(|(right, row)| *right += dot6(row, &half_gradient));
             eliminated.push((factor, half_gradient));
         }
+        self.eliminate(&mut schur, &halves);
         let global = if size == 0 { right } else { schur.cholesky()?.solve(&right) };
         let mut decrease =
             -self.global_gradient.dot(&global) + lambda * diagonal_form(&self.global, &global);
@@ -234,21 +240,40 @@ impl NormalEquations {
         decrease.is_finite().then_some(step)
     }
 
+    /// Subtracts from the lower half of `schur` what the frame sets' poses account for: Σ hᵀh of
+    /// `halves`, each L⁻¹ of a frame set's coupling.
+    fn eliminate(&self, schur: &mut DMatrix<f64>, halves: &[[f64; 6]]) {
+        let size = self.global_gradient.len();
+        let moving = self.frame_sets.iter().zip(halves.chunks(size.max(1)));
+        let moving = moving.filter(|(block, _)| !is_zero(&block.hessian)).map(|(_, half)| half);
+        if size < LEAST_PRODUCT {
+            for half in moving {
+                for i in 0..size {
+                    for j in 0..=i {
+                        schur[(i, j)] -= dot6(&half[i], &half[j]);
+                    }
+                }
+            }
+            return;
+        }
+        let rows: Vec<f64> = moving
+            .flat_map(|half| (0..6).flat_map(|a| half.iter().map(move |row| row[a])))
+            .collect();
+        let halves = DMatrixView::from_slice(&rows, size, rows.len() / size);
+        *schur -= halves * halves.transpose();
+    }
+
     /// The covariance of the global parameters for residuals of unit variance: the inverse of the
     /// Schur complement.
     pub(crate) fn global_covariance(&self) -> Option<DMatrix<f64>> {
         let size = self.global_gradient.len();
-        let mut schur = self.global.clone();
+        let (mut schur, mut halves) = (self.global.clone(), self.coupling.clone());
         for (frame_set, block) in self.frame_sets.iter().enumerate() {
             let factor = cholesky6(&block.hessian, 0.0)?;
-            let half: Vec<[f64; 6]> =
-                self.coupling_of(frame_set).iter().map(|row| forward6(&factor, row)).collect();
-            for i in 0..size {
-                for j in 0..=i {
-                    schur[(i, j)] -= dot6(&half[i], &half[j]);
-                }
-            }
+            let half = &mut halves[frame_set * size..][..size];
+            half.iter_mut().for_each(|row| *row = forward6(&factor, row));
         }
+        self.eliminate(&mut schur, &halves);
         // In units of each parameter's strength with the poses known: the reduced one may be 0.
         let unit = DVector::from_fn(size, |i, _| 1.0 / self.global[(i, i)].sqrt());
         let covariance = ScaledFactor::in_units(&schur, unit)?.inverse();
@@ -359,11 +384,15 @@ fn dot6(a: &[f64; 6], b: &[f64; 6]) -> f64 {
     (a[0] * b[0] + a[1] * b[1]) + (a[2] * b[2] + a[3] * b[3]) + (a[4] * b[4] + a[5] * b[5])
 }
 
+fn is_zero(matrix: &[[f64; 6]; 6]) -> bool {
+    matrix.iter().flatten().all(|v| *v == 0.0)
+}
+
 /// L of L Lᵀ = A + λ diag A, with the reciprocals of its diagonal in place of the diagonal. A
 /// frame set that nothing sees (A = 0) gets an L that solves to 0.
 fn cholesky6(matrix: &[[f64; 6]; 6], lambda: f64) -> Option<[[f64; 6]; 6]> {
     let mut factor = [[0.0; 6]; 6];
-    if matrix.iter().flatten().all(|v| *v == 0.0) {
+    if is_zero(matrix) {
         return Some(factor);
     }
     for i in 0..6 {

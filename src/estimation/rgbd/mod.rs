@@ -28,7 +28,9 @@ use crate::estimation::depth_error::{Smoothness, TriedCorrection, choose_correct
 use crate::estimation::error::EstimationError;
 use crate::estimation::joint::State;
 use crate::estimation::rgbd::corner_starts::fit_corners;
+use crate::estimation::rgbd::corners::CornerBlocks;
 use crate::estimation::rgbd::planes::{Fit, Planes};
+use crate::geometry::depth_camera::PosedDepthLens;
 use crate::geometry::depth_correction::{CorrectedQuantity, DepthCorrection, SplineGrid};
 use crate::geometry::pose::Pose;
 
@@ -38,36 +40,69 @@ use crate::geometry::pose::Pose;
 /// is the first of those that are compared.
 pub(crate) const BASE_SMOOTHNESS: Smoothness = Smoothness { amplitude: 0.5, curvature: 0.01 };
 
+/// Color, infrared and depth fitted together, without what follows for their covariance.
+pub(crate) struct RgbdFit<'a> {
+    problem: &'a RgbdProblem,
+    corners: CornerBlocks,
+    planes: Planes<'a>,
+    correction: FittedCorrection,
+}
+
+impl<'a> RgbdFit<'a> {
+    /// # Errors
+    /// [`EstimationError`] where views are too few or leave a lens or the sensors' pose open, and
+    /// [`EstimationError::Interrupted`] once `problem.interrupt` was requested.
+    pub(crate) fn of(problem: &'a RgbdProblem) -> Result<Self, EstimationError> {
+        let with_depth = problem.views.iter().filter(|view| !view.tiles.is_empty()).count();
+        if with_depth < 3 {
+            return Err(EstimationError::TooFewViews {
+                usable: with_depth,
+                needed: 3,
+                rejected: String::new(),
+            });
+        }
+        let corners = fit_corners(problem).ok_or_else(|| no_fit(problem))?;
+        let mut planes =
+            Planes::of(problem, &corners.depth_state, corners.equations.frame_sets.as_slice());
+        let correction = fit_correction(problem, &mut planes, &corners.depth_state)?;
+        Ok(Self { problem, corners, planes, correction })
+    }
+
+    /// The lens of the depth camera, and its pose.
+    pub(crate) fn depth(&self) -> PosedDepthLens {
+        let state = &self.correction.fit.state;
+        PosedDepthLens { lens: state.lenses[1], depth_from_color: state.sensor_from_rig[1] }
+    }
+
+    /// The fit with its covariance.
+    ///
+    /// # Errors
+    /// [`EstimationError::NoFit`] where views leave a lens or the sensors' pose open, and
+    /// [`EstimationError::Interrupted`] once `problem.interrupt` was requested.
+    pub(crate) fn estimate(self) -> Result<RgbdEstimate, EstimationError> {
+        let Self { problem, corners, planes, correction: FittedCorrection { fit, tried } } = self;
+        // Where the form of the correction decides, and not the views, the difference is part of
+        // what is not known.
+        let other = match problem.depth_lens {
+            DepthLens::Infrared => None,
+            DepthLens::FromPlanes | DepthLens::Known => fit.other_form().and_then(|form| {
+                let by_corners = corners.equations.frame_sets.as_slice();
+                let mut planes = Planes::of(problem, &corners.depth_state, by_corners);
+                planes.fit(&fit.state, form, fit.smoothness)
+            }),
+        };
+        problem.interrupt.check()?;
+        planes.assemble(&corners, &fit, other.as_ref(), tried)
+    }
+}
+
 /// Calibrates color and depth.
 ///
 /// # Errors
 /// [`EstimationError`] where views are too few or leave a lens or the sensors' pose open, and
 /// [`EstimationError::Interrupted`] once `problem.interrupt` was requested.
 pub fn calibrate_rgbd(problem: &RgbdProblem) -> Result<RgbdEstimate, EstimationError> {
-    let with_depth = problem.views.iter().filter(|view| !view.tiles.is_empty()).count();
-    if with_depth < 3 {
-        return Err(EstimationError::TooFewViews {
-            usable: with_depth,
-            needed: 3,
-            rejected: String::new(),
-        });
-    }
-    let corners = fit_corners(problem).ok_or_else(|| no_fit(problem))?;
-    let by_corners = corners.equations.frame_sets.as_slice();
-    let mut planes = Planes::of(problem, &corners.depth_state, by_corners);
-    let FittedCorrection { fit, tried } =
-        fit_correction(problem, &mut planes, &corners.depth_state)?;
-    // Where the form of the correction decides, and not the views, the difference is part of what
-    // is not known.
-    let other = match problem.depth_lens {
-        DepthLens::Infrared => None,
-        DepthLens::FromPlanes | DepthLens::Known => fit.other_form().and_then(|form| {
-            let mut planes = Planes::of(problem, &corners.depth_state, by_corners);
-            planes.fit(&fit.state, form, fit.smoothness)
-        }),
-    };
-    problem.interrupt.check()?;
-    planes.assemble(&corners, &fit, other.as_ref(), tried)
+    RgbdFit::of(problem)?.estimate()
 }
 
 /// Why there is no fit: nobody waits for one any more, or none was found.

@@ -192,9 +192,8 @@ impl<'a> Planes<'a> {
             let planes: Vec<PlaneObservation> =
                 self.planes.iter().map(|plane| scaled(plane, tile_noise)).collect();
             let anchors = self.anchors.as_deref();
-            let linearized = |whole: &PlaneState| {
-                linearized(&layout, (whole, &prior), at, (&planes, anchors)).map(|f| f.0)
-            };
+            let linearized =
+                |whole: &PlaneState| linearized(&layout, (whole, &prior), at, (&planes, anchors));
             let stepped = |whole: &PlaneState, step: &Step| {
                 let rig = whole.rig.stepped(&layout, &step.global, &step.frame_sets)?;
                 let mut correction = whole.correction.clone();
@@ -206,12 +205,14 @@ impl<'a> Planes<'a> {
                 Some(PlaneState { rig, correction })
             };
             let count = planes.iter().map(|plane| plane.tiles.len()).sum::<usize>();
+            let mut at_end = linearized(&whole)?;
             if layout.len > 0 {
-                let start = linearized(&whole)?;
-                whole = walk((whole, start), count, Stop::default(), (linearized, stepped)).0;
+                // Later rounds begin where the one before has ended.
+                let lambda = if round == 0 { Stop::default().lambda } else { 0.0 };
+                let stop = Stop { lambda, ..Stop::default() };
+                (whole, at_end, _) = walk((whole, at_end), count, stop, (linearized, stepped));
             }
-            let (at_end, residuals) =
-                self::linearized(&layout, (&whole, &prior), at, (&planes, anchors))?;
+            let residuals = std::mem::take(&mut at_end.tile_residuals);
             equations = Some(at_end);
             let before = tile_noise;
             let limit_stds = if round == 0 { FIRST_LIMIT_STDS } else { LIMIT_STDS };
@@ -402,9 +403,9 @@ fn linearized(
     (whole, prior): (&PlaneState, &Prior),
     at: usize,
     (planes, anchors): (&[PlaneObservation], Option<&[Anchor]>),
-) -> Option<(NormalEquations, Vec<Vec<f64>>)> {
+) -> Option<NormalEquations> {
     let mut equations = NormalEquations::empty(layout.len, whole.rig.rig_from_board.len());
-    let residuals = add_planes(
+    equations.tile_residuals = add_planes(
         &mut equations,
         LinearizationPoint { layout, state: &whole.rig },
         CorrectionColumns { correction: &whole.correction, first: at },
@@ -436,8 +437,9 @@ fn linearized(
     let lost = |(residuals, plane): (&Vec<f64>, &PlaneObservation)| {
         residuals.iter().zip(&plane.used).any(|(residual, used)| *used && !residual.is_finite())
     };
-    let usable = equations.cost.is_finite() && !residuals.iter().zip(planes).any(lost);
-    usable.then_some((equations, residuals))
+    let mut seen = equations.tile_residuals.iter().zip(planes);
+    let usable = equations.cost.is_finite() && !seen.any(lost);
+    usable.then_some(equations)
 }
 
 impl Anchor {
