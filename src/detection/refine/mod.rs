@@ -9,7 +9,7 @@
 //! | two fits | `first_fit`, `second_fit`, `fitted` | each corner by itself, then with what the board knows; whether it is a corner |
 //! | print | `print`, `printed`, `print_blur`, `transfer` | takes off the window what is printed beside the two edges, where blur brings it in |
 //! | alignment | `aligned`, `alignment`, `rendering_search` | where blur runs edges into each other: moves the whole print until it is most like the image |
-//! | shading | `shading`, `own_light` | takes off light that changes over a corner's window; fits corner and light together, in light |
+//! | shading | `shading`, `own_light`, `power` | takes off light that changes over a corner's window; fits corner and light together, in light |
 //! | board | `lattice`, `field`, `noise` | what all corners estimate together: the curvature of the edges, the change of light, the noise |
 //! | standard deviation | `corner_std`, `halves`, `scatter`, `misfit`, `straightness` | the fit's own, times one factor for each sign of a larger error: edge halves differ, one corner fits worse than the others, corners leave their lines |
 //!
@@ -38,6 +38,7 @@ mod noise;
 mod normal_equations;
 mod own_curvature;
 mod own_light;
+mod power;
 pub mod print;
 mod print_blur;
 mod printed;

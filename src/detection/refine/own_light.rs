@@ -12,6 +12,7 @@ use crate::detection::refine::fit::{CornerFit, position_covariance};
 use crate::detection::refine::normal_equations::{
     CornerEquations, Linearized, ModelColumns, Noise, RESIDUAL, Residuals,
 };
+use crate::detection::refine::power::power;
 use crate::detection::refine::samples::Samples;
 
 /// Terms of the mean: 1, x, y, x², xy, y², x³, x²y, xy², y³; of the contrast: 1, x, y.
@@ -21,8 +22,12 @@ const TERMS: usize = MEAN_TERMS + CONTRAST_TERMS;
 /// Directions and sharpness of the two edges, which come first, and their offsets, which come last.
 const SHAPES: usize = 4;
 const UNKNOWNS: usize = SHAPES + TERMS + 2;
-/// The same in whole vectors.
-const ROOM: usize = UNKNOWNS.next_multiple_of(4);
+/// A sample's derivative by each of them, then its residual, in whole vectors.
+const ROOM: usize = (UNKNOWNS + 1).next_multiple_of(LANES);
+const LANES: usize = 4;
+/// Samples whose products are summed at once: their rows stay in the processor's nearest cache.
+/// Chosen, not swept.
+const BATCH: usize = 64;
 /// White, in gray levels; what is brighter than the second is at it.
 const WHITE: f64 = 255.0;
 const AT_WHITE: f32 = 254.5;
@@ -180,8 +185,8 @@ impl LitCorner {
 
 /// Sums over a window's samples.
 struct Sums {
-    products: [[f64; ROOM]; UNKNOWNS],
-    right: [f64; UNKNOWNS],
+    /// Products of each column with those from its own whole vector on.
+    products: [[f64; ROOM]; ROOM],
     /// Sum of the squares of the residuals below white, in units of the noise; the number of samples
     /// in effect.
     squares: f64,
@@ -192,21 +197,15 @@ struct Sums {
 
 impl Default for Sums {
     fn default() -> Self {
-        Self {
-            products: [[0.0; ROOM]; UNKNOWNS],
-            right: [0.0; UNKNOWNS],
-            squares: 0.0,
-            effective: 0.0,
-            below_white: 0.0,
-        }
+        Self { products: [[0.0; ROOM]; ROOM], squares: 0.0, effective: 0.0, below_white: 0.0 }
     }
 }
 
 impl Sums {
     /// The step, and the covariance of the two offsets per unit of noise: xx, xy, yy.
     fn solve(&self, contrast: f64) -> Option<(SVector<f64, UNKNOWNS>, [f64; 3])> {
-        let mut normal =
-            SMatrix::<f64, UNKNOWNS, UNKNOWNS>::from_fn(|row, col| self.products[row][col]);
+        let product = |row: usize, col: usize| self.products[row.min(col)][row.max(col)];
+        let mut normal = SMatrix::<f64, UNKNOWNS, UNKNOWNS>::from_fn(product);
         let prior = (LIGHT_STD * contrast.max(LEAST_CONTRAST)).powi(-2);
         for k in 0..TERMS {
             if k != 0 && k != MEAN_TERMS {
@@ -217,7 +216,7 @@ impl Sums {
             normal[(k, k)] *= 1.0 + 1e-6;
         }
         let factors = normal.cholesky()?;
-        let step = factors.solve(&SVector::from(self.right));
+        let step = factors.solve(&SVector::from_fn(|row, _| product(row, UNKNOWNS)));
         let (a, b) = (UNKNOWNS - 2, UNKNOWNS - 1);
         let mut covariance = SMatrix::<f64, UNKNOWNS, 2>::zeros();
         (covariance[(a, 0)], covariance[(b, 1)]) = (1.0, 1.0);
@@ -246,28 +245,30 @@ impl pulp::NullaryFnOnce for TakeLit<'_> {
         let [xs, ys] = what.samples.places();
         let values = columns.values(RESIDUAL);
         let patterns = columns.values(SHAPES + 1);
+        let by_shapes: [&[f32]; SHAPES] = std::array::from_fn(|k| columns.values(k));
+        let by_offsets = [OFFSETS, OFFSETS + 1].map(|k| columns.values(k));
         let (root, sign) = (1.0 / what.power, lit.light[MEAN_TERMS].signum());
         let least = (DARKEST / WHITE).powf(what.power);
         let middle = (noise.black + noise.white) / 2.0;
         let slope = sign * (noise.white - noise.black) / 2.0;
+        let (mut rows, mut filled) = ([[0.0; ROOM]; BATCH], 0);
         for (slot, (x, y)) in xs.iter().zip(ys).enumerate() {
             let t = f64::from(patterns[slot]);
             let value = f64::from(values[slot]) + t;
             let terms = terms(f64::from(*x) / what.reach, f64::from(*y) / what.reach);
-            let (of_mean, of_contrast) = lit.light.split_at(MEAN_TERMS);
-            let sum = |of: &[f64]| of.iter().zip(&terms).map(|(a, b)| a * b).sum::<f64>();
-            let (mean, contrast) = (sum(of_mean), sum(of_contrast));
+            let (mean, contrast) = mean_and_contrast(&lit.light, &terms);
             let light = (mean + contrast * t).max(least);
-            let gray = WHITE * light.powf(root);
+            let gray = WHITE * power(light, root);
             let silent = value > f64::from(AT_WHITE) && gray > f64::from(AT_WHITE);
             let residual = if silent { 0.0 } else { value - gray };
             let std = middle + slope * t;
             let doubt = tolerance2 / (tolerance2 + residual * residual);
             let trust = doubt / std;
             let by_light = if silent { 0.0 } else { trust * root * gray / light };
-            let mut row = [0.0; ROOM];
-            for (k, entry) in row.iter_mut().enumerate().take(SHAPES) {
-                *entry = by_light * contrast * f64::from(columns.values(k)[slot]);
+            let by_pattern = by_light * contrast;
+            let row = &mut rows[filled];
+            for k in 0..SHAPES {
+                row[k] = by_pattern * f64::from(by_shapes[k][slot]);
             }
             for k in 0..MEAN_TERMS {
                 row[SHAPES + k] = by_light * terms[k];
@@ -276,10 +277,10 @@ impl pulp::NullaryFnOnce for TakeLit<'_> {
                 row[SHAPES + MEAN_TERMS + k] = by_light * t * terms[k];
             }
             for k in 0..2 {
-                row[SHAPES + TERMS + k] =
-                    by_light * contrast * f64::from(columns.values(OFFSETS + k)[slot]);
+                row[SHAPES + TERMS + k] = by_pattern * f64::from(by_offsets[k][slot]);
             }
             let weighted = trust * residual;
+            row[UNKNOWNS] = weighted;
             let inlier = doubt * doubt;
             sums.effective += inlier;
             // What is at white has no noise: it says nothing of the residuals' scale.
@@ -287,12 +288,41 @@ impl pulp::NullaryFnOnce for TakeLit<'_> {
                 sums.squares += weighted * weighted;
                 sums.below_white += inlier;
             }
-            for k in 0..UNKNOWNS {
-                sums.right[k] += row[k] * weighted;
-                for other in 0..ROOM {
-                    sums.products[k][other] += row[k] * row[other];
-                }
+            filled += 1;
+            if filled == BATCH {
+                add_products(&rows, &mut sums.products);
+                filled = 0;
             }
+        }
+        add_products(&rows[..filled], &mut sums.products);
+    }
+}
+
+/// Adds each row's products of its columns with those from their own whole vector on.
+#[inline(always)]
+fn add_products(rows: &[[f64; ROOM]], products: &mut [[f64; ROOM]; ROOM]) {
+    add_products_of::<0>(rows, products);
+    add_products_of::<4>(rows, products);
+    add_products_of::<8>(rows, products);
+    add_products_of::<12>(rows, products);
+    add_products_of::<16>(rows, products);
+}
+
+/// Those of the columns of the vector that begins with `FIRST`, two at a time: as many sums as stay
+/// in registers from one sample to the next.
+#[inline(always)]
+fn add_products_of<const FIRST: usize>(rows: &[[f64; ROOM]], products: &mut [[f64; ROOM]; ROOM]) {
+    for first in [FIRST, FIRST + 2] {
+        let mut sums = [[0.0; ROOM]; 2];
+        for row in rows {
+            for k in FIRST..ROOM {
+                sums[0][k] += row[first] * row[k];
+                sums[1][k] += row[first + 1] * row[k];
+            }
+        }
+        for k in FIRST..ROOM {
+            products[first][k] += sums[0][k];
+            products[first + 1][k] += sums[1][k];
         }
     }
 }
@@ -301,6 +331,17 @@ impl pulp::NullaryFnOnce for TakeLit<'_> {
 fn terms(x: f64, y: f64) -> [f64; MEAN_TERMS] {
     let (x2, y2) = (x * x, y * y);
     [1.0, x, y, x2, x * y, y2, x2 * x, x2 * y, x * y2, y2 * y]
+}
+
+/// Written out, as adapters of iterators are not always inlined.
+#[inline(always)]
+fn mean_and_contrast(light: &[f64; TERMS], terms: &[f64; MEAN_TERMS]) -> (f64, f64) {
+    let [one, x, y, x2, xy, y2, x3, x2y, xy2, y3, of_pattern, x_of_pattern, y_of_pattern] = light;
+    let linear = one + x * terms[1] + y * terms[2];
+    let square = x2 * terms[3] + xy * terms[4] + y2 * terms[5];
+    let cubic = x3 * terms[6] + x2y * terms[7] + xy2 * terms[8] + y3 * terms[9];
+    let contrast = of_pattern + x_of_pattern * terms[1] + y_of_pattern * terms[2];
+    (linear + square + cubic, contrast)
 }
 
 #[cfg(test)]

@@ -112,7 +112,7 @@ fn the_equations_are_the_slope_of_the_sum_of_squares() {
         };
         let size = 1e-2 * if (SHAPES..SHAPES + TERMS).contains(&unknown) { 0.1 } else { 1.0 };
         let numeric = (moved(-size) - moved(size)) / (4.0 * size);
-        let analytic = equations.right[unknown];
+        let analytic = equations.products[unknown][UNKNOWNS];
         let scale = equations.products[unknown][unknown].sqrt() * equations.squares.sqrt();
         assert!((numeric - analytic).abs() < 0.01 * scale, "{unknown}: {analytic} {numeric}");
     }

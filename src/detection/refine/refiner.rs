@@ -64,6 +64,8 @@ pub struct Refiner {
     may_be_lit: Vec<bool>,
     /// Of each corner, under which light it may be fitted besides the board's.
     light: Vec<Option<LightOfItsOwn>>,
+    /// Of each corner, its second fit where that has light of its own.
+    lit: Vec<Option<Fitted>>,
     /// The last window of a first fit.
     pub(super) quarter_means: [f64; 2],
 }
@@ -134,10 +136,18 @@ impl Refiner {
         self.light.clear();
         self.light.extend(self.may_be_lit.iter().map(|&may| alone.filter(|_| may)));
         let fitted = std::mem::take(&mut self.fitted);
-        let lit = self.fit_each_again(image, corners, &fitted, nearby, refined);
+        self.lit.clear();
+        self.lit.resize(corners.len(), None);
+        self.fit_each_again(image, corners, &fitted, nearby, refined);
+        let lit = self.lit.iter().flatten().count();
         if lit > 0 {
             let in_highlight = light(self.thresholds.lit_in_highlight);
-            self.light.fill(in_highlight.filter(|_| lit >= self.thresholds.fewest_lit));
+            if lit < self.thresholds.fewest_lit {
+                self.light.fill(None);
+                self.lit.fill(None);
+            } else {
+                self.light.fill(in_highlight);
+            }
             self.fit_each_again(image, corners, &fitted, nearby, refined);
         }
         self.fitted = fitted;
@@ -145,7 +155,7 @@ impl Refiner {
         self.set_stds(refined);
     }
 
-    /// The second fit of each corner; how many of them have light of their own.
+    /// The second fit of each corner, but for those that are known in light of their own.
     fn fit_each_again(
         &mut self,
         image: GrayView<'_>,
@@ -153,9 +163,8 @@ impl Refiner {
         fitted: &[Option<Fitted>],
         nearby: Option<Nearby<'_>>,
         refined: &mut Vec<Option<RefinedCorner>>,
-    ) -> usize {
+    ) {
         let noise = self.noise.of_pixels();
-        let mut lit = 0;
         refined.clear();
         self.misfit.clear();
         self.scatter.clear();
@@ -165,12 +174,13 @@ impl Refiner {
         for (slot, (corner, first)) in corners.iter().zip(fitted).enumerate() {
             let (shaded, light) = (self.shaded[slot], self.light[slot]);
             let beside = Beside { print: nearby.map(|it| (slot, it)), shaded, light };
-            let second = first
-                .as_ref()
-                .and_then(|first| self.fit_within_board(image, corner, first, noise, beside));
-            let second = second.filter(|second| second.is_corner(corner, &self.thresholds));
+            let second = self.lit[slot].or_else(|| {
+                let first = first.as_ref()?;
+                let second = self.fit_within_board(image, corner, first, noise, beside)?;
+                second.is_corner(corner, &self.thresholds).then_some(second)
+            });
+            self.lit[slot] = second.filter(|second| second.lit);
             self.misfit.take(second.as_ref().map(Fitted::quality));
-            lit += usize::from(second.as_ref().is_some_and(|second| second.lit));
             // What its samples say with light of its own is not the board's.
             let plain = second.as_ref().filter(|second| !second.lit);
             if let Some(second) = plain.filter(|_| self.is_compared(corners, corner)) {
@@ -185,7 +195,6 @@ impl Refiner {
             }
             refined.push(second.as_ref().map(Fitted::refined));
         }
-        lit
     }
 
     /// Moves corners by how much more curved their edges are than in the second fit, as the windows
