@@ -55,11 +55,12 @@ device-test: $(VENV)/installed
 	timeout --kill-after=10 900 cargo test $(FEATURES) --test device
 
 # The RealSense library itself, on recordings: a real one, and one that it makes. With the features of
-# the other tests, so that their dependencies serve.
+# the other tests, so that their dependencies serve; the library, built for this alone, at level 1.
+realsense-test: LIBRARY := --config profile.dev.package.plumb.opt-level=1
 realsense-test: $(VENV)/installed
 	export PATH="$(CURDIR)/$(VENV)/bin:$$PATH" && environment="$$(tests/device/realsense_library.sh)" && eval "$$environment" && \
-	cargo test $(FEATURES),realsense --test realsense --no-run && \
-	timeout --kill-after=10 600 cargo test $(FEATURES),realsense --test realsense
+	cargo test $(FEATURES),realsense $(LIBRARY) --test realsense --no-run && \
+	timeout --kill-after=10 600 cargo test $(FEATURES),realsense $(LIBRARY) --test realsense
 
 # Coverage-guided fuzzing of everything that is read, for so many seconds; see tests/fuzz/README.md.
 SECONDS ?= 600
