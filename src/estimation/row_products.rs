@@ -38,7 +38,7 @@ impl SparseRowProducts {
         }
     }
 
-    /// Adds what is left to the upper half of `upper`.
+    /// Adds the rows that are still gathered to the upper half of `upper`.
     pub(crate) fn add_all(&mut self, upper: &mut DMatrix<f64>) {
         self.gathered.values_mut().for_each(|alike| alike.add(upper));
     }
