@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::io::{BufRead, BufReader, Lines, Read};
+use std::os::unix::net::UnixDatagram;
 use std::path::PathBuf;
 use std::process::{Child, Command};
 use std::time::{Duration, Instant};
@@ -39,18 +40,23 @@ impl Daemon {
             "[server]\nlisten = \"{ADDRESS}\"\n[store]\npath = \"{folder}/store\"\nmin_free_mb = 1\n{cameras}"
         );
         fs::write(&config, text).unwrap();
+        let notify = format!("{folder}/notify");
+        let socket = UnixDatagram::bind(&notify).unwrap();
+        socket.set_read_timeout(Some(LIMIT)).unwrap();
         let child = Command::new(env!("CARGO_BIN_EXE_plumb"))
             .args(["serve", "--config", &config])
             .env("RUST_LOG", "warn")
+            .env("NOTIFY_SOCKET", &notify)
             .spawn()
             .unwrap();
         let daemon = Self(Runs::Child(child));
-        let began = Instant::now();
-        while ureq::get(&url("/healthz")).call().is_err() {
-            assert!(began.elapsed() < LIMIT, "the daemon does not answer");
-            std::thread::yield_now();
+        let mut message = [0; 4096];
+        loop {
+            let length = socket.recv(&mut message).expect("the daemon says when it is ready");
+            if message[..length].starts_with(b"READY=1") {
+                return daemon;
+            }
         }
-        daemon
     }
 
     /// Has systemd start the package's unit, with these `[[camera]]` tables.
