@@ -42,7 +42,7 @@ examples:
 python-test: $(VENV)/installed
 	$(TESTED) --no-run
 	cargo build $(FEATURES) --example relative_pose
-	PLUMB=target/debug/plumb timeout --kill-after=10 400 $(VENV)/bin/python -m pytest -q -rs tests/python
+	PLUMB=target/debug/plumb timeout --kill-after=10 400 $(VENV)/bin/python -m pytest -q -rs -n 2 tests/python
 
 # The live page, driven in a real browser.
 page-test: $(VENV)/installed

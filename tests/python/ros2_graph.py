@@ -1,6 +1,8 @@
 """A ROS 2 graph without ROS: Eclipse Cyclone DDS, with the topics and types named as ROS 2 names them, on loopback only."""
 
+import contextlib
 import os
+import threading
 import time
 from dataclasses import dataclass
 from dataclasses import field as default
@@ -199,6 +201,24 @@ class Publisher:
 
     def send(self, message):
         self.writer.write(message)
+
+    @contextlib.contextmanager
+    def repeating(self, message):
+        """Sends it ten times a second, as a driver does that nobody waits for."""
+        ended = threading.Event()
+
+        def run():
+            while not ended.is_set():
+                self.send(message)
+                ended.wait(0.1)
+
+        sending = threading.Thread(target=run)
+        sending.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            sending.join()
 
 
 class Subscriber:

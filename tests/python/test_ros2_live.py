@@ -96,9 +96,9 @@ def test_a_publisher_that_ends_and_comes_back(walk, participant, daemon):
         events = plumb.events("front")
         for _ in range(3):
             driver = ros.Publisher(participant, "/front/image_raw", ros.Image)
-            driver.wait_for_reader()
-            driver.send(ros.image(walk[0], START_NS))
-            plumb.wait_for_state(events, "front", lambda status: status["state"] == "streaming")
+            # Again and again: the reader that is found first may be the one that was lost.
+            with driver.repeating(ros.image(walk[0], START_NS)):
+                plumb.wait_for_state(events, "front", lambda status: status["state"] == "streaming")
             del driver
             gone = plumb.wait_for_state(events, "front", lambda status: status["state"] == "lost")
             assert "the publisher of /front/image_raw is gone" in gone["reason"], gone
