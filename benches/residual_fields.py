@@ -45,21 +45,31 @@ def residuals(calibration, detections):
         rotation = cv2.Rodrigues(matrix_of(q["w"], q["x"], q["y"], q["z"]))[0]
         translation = np.array(view["camera_from_board"]["translation"])
 
+        def moved(seen, motion=view.get("motion")):
+            """Where the corners were when their rows were read."""
+            if not motion:
+                return seen
+            center = cv2.Rodrigues(rotation)[0] @ motion["center_m"] + translation
+            times = (pixels[:, 1] + 0.5) / sensor["image_size"][1] - 0.5
+            rotations = [cv2.Rodrigues(time * np.array(motion["rotation_rad"]))[0] for time in times]
+            return np.array([rotated @ (point - center) + center + time * np.array(motion["translation_m"])
+                             for rotated, point, time in zip(rotations, seen, times)])
+
         def of(index):
             stated = np.c_[index * target["square_m"], np.zeros(len(index))].astype(float)
             points = stated
             if shape:
                 offsets = {tuple(np.round(point, 6)): offset for point, offset in zip(shape["points"], shape["offsets_m"])}
                 points = stated + [offsets[tuple(np.round(point, 6))] for point in stated]
+            seen = moved(points @ cv2.Rodrigues(rotation)[0].T + translation)
             if lens["model"] == "kannala_brandt":
-                seen = points @ cv2.Rodrigues(rotation)[0].T + translation
                 radius = np.hypot(seen[:, 0], seen[:, 1])
                 angle = np.arctan2(radius, seen[:, 2])
                 bent = angle * sum((lens[f"k{n}"] if n else 1) * angle ** (2 * n) for n in range(5))
                 projected = seen[:, :2] * (bent / radius)[:, None] * [lens["fx"], lens["fy"]] + [lens["cx"], lens["cy"]]
             else:
                 k = np.array([lens.get(name, 0.0) for name in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")])
-                projected = cv2.projectPoints(points, rotation, translation, matrix, k)[0]
+                projected = cv2.projectPoints(seen, np.zeros(3), np.zeros(3), matrix, k)[0]
             return stated[:, :2], pixels, pixels - projected.reshape(-1, 2)
 
         found = [of(index)]

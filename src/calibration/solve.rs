@@ -215,6 +215,7 @@ fn with_uncertainty(
         reason: view.fault.map(|fault| fault.to_string()),
         rms_px: view.rms_px.filter(|rms| rms.is_finite()),
         camera_from_board: view.camera_from_board,
+        motion: view.motion,
         camera_from_scene: None,
     };
     let compared = |trial: &crate::estimation::lens_choice::LensTrial| ComparedLens {

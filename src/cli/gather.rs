@@ -234,6 +234,7 @@ pub(super) fn unused(name: String, reason: &str) -> CalibratedView {
         reason: Some(reason),
         rms_px: None,
         camera_from_board: None,
+        motion: None,
         camera_from_scene: None,
     }
 }

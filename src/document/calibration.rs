@@ -245,7 +245,7 @@ fn sensor_named(name: &str, cameras: &[RigCameraDocument]) -> Option<SensorId> {
 
 #[cfg(test)]
 pub(crate) mod tests {
-    use nalgebra::Vector3;
+    use nalgebra::{Point3, Vector3};
 
     use super::*;
     use crate::calibration::result::{
@@ -255,6 +255,7 @@ pub(crate) mod tests {
     use crate::document::image_sensor::SensorDocument;
     use crate::document::reading::{from_json, to_json, to_json_pretty};
     use crate::document::sensors::AnySensorDocument;
+    use crate::estimation::view_motion::ViewMotion;
     use crate::geometry::lens::{Lens, LensModel};
     use crate::geometry::pixel::ImageSize;
     use crate::geometry::target::chessboard;
@@ -270,6 +271,11 @@ pub(crate) mod tests {
             reason: (!used).then(|| "mirrored".to_owned()),
             rms_px: used.then_some(third / 10.0),
             camera_from_board: used.then_some(target_from_source),
+            motion: used.then_some(ViewMotion {
+                rotation_rad: Vector3::new(0.001, -0.002, third),
+                translation_m: Vector3::new(third / 100.0, 0.0, -0.001),
+                center_m: Point3::new(0.12, 0.075, 0.0),
+            }),
             camera_from_scene: None,
         };
         let lens = Lens::from_parameters(

@@ -11,6 +11,8 @@ use crate::document::error::{DocumentError, physical};
 use crate::document::lens::{LensDocument, LensStdDocument};
 use crate::document::lens_model::LensModelName;
 use crate::document::pose::PoseDocument;
+use crate::document::view_motion::ViewMotionDocument;
+use crate::estimation::view_motion::ViewMotion;
 use crate::geometry::lens::Lens;
 use crate::geometry::physical::RMS_PX;
 use crate::geometry::pixel::ImageSize;
@@ -92,6 +94,9 @@ pub struct ViewDocument {
     pub rms_px: Option<f64>,
     /// Where the board was; null for a view without a pose.
     pub camera_from_board: Option<PoseDocument>,
+    /// How the board moved while the view's rows were read; left out without a rolling shutter.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub motion: Option<ViewMotionDocument>,
     /// Where the scene was, without a board; left out for a view without a pose. The first used
     /// view is the identity.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -220,6 +225,7 @@ impl From<&CalibratedView> for ViewDocument {
             reason: view.reason.clone(),
             rms_px: view.rms_px,
             camera_from_board: view.camera_from_board.as_ref().map(PoseDocument::from),
+            motion: view.motion.as_ref().map(ViewMotionDocument::from),
             camera_from_scene: view.camera_from_scene.as_ref().map(PoseDocument::from),
         }
     }
@@ -230,12 +236,14 @@ impl TryFrom<&ViewDocument> for CalibratedView {
     fn try_from(document: &ViewDocument) -> Result<Self, DocumentError> {
         let camera_from_board = document.camera_from_board.as_ref().map(Pose::try_from).transpose();
         let camera_from_scene = document.camera_from_scene.as_ref().map(Pose::try_from).transpose();
+        let motion = document.motion.as_ref().map(ViewMotion::try_from).transpose();
         Ok(Self {
             name: document.name.clone(),
             used: document.used,
             reason: document.reason.clone(),
             rms_px: document.rms_px,
             camera_from_board: camera_from_board.map_err(|e| e.inside("camera_from_board"))?,
+            motion: motion.map_err(|e| e.inside("motion"))?,
             camera_from_scene: camera_from_scene.map_err(|e| e.inside("camera_from_scene"))?,
         })
     }

@@ -37,3 +37,4 @@ pub mod time;
 pub mod truth;
 pub mod uncertainty;
 pub mod verdict;
+pub mod view_motion;

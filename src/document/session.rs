@@ -349,8 +349,9 @@ pub struct SessionViewDocument {
     /// Its reprojection error in the session's calibration, in pixels.
     pub rms_px: Option<f64>,
     /// Measured minus projected for each corner, in pixels, on the board as the calibration
-    /// measured it; null before there is a calibration, for a view without a pose, without a board,
-    /// and where the calibration has `rolling_shutter`: each view's motion is not kept.
+    /// measured it and as it moved while rows were read; null before there is a calibration, for a
+    /// view without a pose or without a board, and where a calibration with `rolling_shutter` says no
+    /// `motion` of the view.
     pub residuals_px: Option<Vec<[f64; 2]>>,
     /// Where the board was, by the session's calibration.
     pub camera_from_board: Option<PoseDocument>,

@@ -14,6 +14,7 @@ use crate::estimation::measured_board::{MeasuredBoard, RollingShutter};
 use crate::estimation::problem::{CameraProblem, CameraStart};
 use crate::estimation::start::Prepared;
 use crate::estimation::view_fault::ViewFault;
+use crate::estimation::view_motion::ViewMotion;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
@@ -60,6 +61,8 @@ pub struct ViewEstimate {
     pub fault: Option<ViewFault>,
     /// Where the board was; for a view that is not in use the best guess, if there is one.
     pub camera_from_board: Option<Pose>,
+    /// How the board moved while the view's rows were read; `None` without a rolling shutter.
+    pub motion: Option<ViewMotion>,
     /// Covariance of that pose, as a rotation about the camera's axes (radians) and a translation
     /// of the problem's mean point (meters); `None` for a view that is not in use.
     pub covariance: Option<Matrix6<f64>>,
@@ -233,10 +236,13 @@ impl<'a> FittedPart<'a> {
         let pose = state.sensor_from_board(self.part.sensor, observation.frame_set);
         let translation = pose.translation() - pose * *center_in_board;
         let counts = |k: usize| fault.is_some() || observation.used[k];
+        let place = (index, observation.frame_set);
+        let motion = |effects| ViewMotion::of(effects, place, &pose, center_in_board);
         ViewEstimate {
             name: name.to_owned(),
             fault,
             camera_from_board: is_projected.then(|| Pose::new(pose.rotation(), translation)),
+            motion: self.fit.effects.as_ref().and_then(motion).filter(|_| is_projected),
             covariance: self.pose_covariance(index).filter(|_| fault.is_none()),
             rms_px: is_projected.then(|| rms(residuals, &observation.inverse_std, counts)),
             residuals_px: residuals

@@ -17,12 +17,12 @@
 use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix3xX, Point3, Vector3};
 
 use crate::estimation::camera_fit::CameraFit;
-use crate::estimation::effects::state::read_out_time;
 use crate::estimation::joint::Layout;
 use crate::estimation::joint::linearize::LinearizationPoint;
 use crate::estimation::joint::per_observation::{assemble, linearize_each};
 use crate::estimation::problem::{BoardShape, CameraOptions, Shutter};
 use crate::estimation::scaled_factor::ScaledFactor;
+use crate::estimation::view_motion::read_out_time;
 use crate::geometry::pixel::Pixel;
 
 /// What seems to be wrong.

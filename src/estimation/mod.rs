@@ -64,4 +64,5 @@ pub(crate) mod student;
 pub mod two_view;
 pub mod uncertainty;
 pub mod view_fault;
+pub mod view_motion;
 pub mod zhang;

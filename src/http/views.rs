@@ -14,6 +14,7 @@ use crate::detection::board_detection::{DetectedCorner, Detection, GridIndex};
 use crate::document::pose::PoseDocument;
 use crate::document::session::{SessionViewDocument, SessionViewsDocument};
 use crate::document::time;
+use crate::estimation::view_motion::read_out_time;
 use crate::geometry::board::BoardSize;
 use crate::geometry::target::Target;
 use crate::http::pages::{PageParameters, PageRefusals};
@@ -157,20 +158,20 @@ fn view_document(
 }
 
 /// Measured minus projected, corner by corner, on the board as it was measured; `None` for a view
-/// without a pose. Where motion while rows were read was estimated there is `None` too: what each
-/// view's was is not kept, and without it residuals would contradict the view's `rms_px`. A rig's
-/// solve may have rotated the labels of a board that is alike both ways by half a turn: those that
-/// fit are meant.
+/// without a pose, and where a calibration with a rolling shutter does not say how the board moved
+/// in this view: without it residuals would contradict the view's `rms_px`. A rig's solve may have
+/// rotated the labels of a board that is alike both ways by half a turn: those that fit are meant.
 fn residuals_px(
     detection: &Detection,
     sensor: &ImageCalibration,
     calibrated: &CalibratedView,
     target: Target,
 ) -> Option<Vec<[f64; 2]>> {
-    if sensor.rolling_shutter.is_some() {
+    if sensor.rolling_shutter.is_some() && calibrated.motion.is_none() {
         return None;
     }
-    let camera_from_board = calibrated.camera_from_board?;
+    let at_middle_row = calibrated.camera_from_board?;
+    let height_px = f64::from(sensor.image_size.height);
     let residual = |corner: &DetectedCorner, is_rotated: bool| {
         let (BoardSize { cols, rows }, GridIndex { col, row }) = (target.lattice(), corner.index);
         let rotated = (cols as i32 - 1 - col, rows as i32 - 1 - row);
@@ -178,6 +179,9 @@ fn residuals_px(
         let point_in_board = target.corner_at(col, row)?;
         let measured = sensor.board_shape.as_ref().and_then(|b| b.offset_at(&point_in_board));
         let place = point_in_board + measured.unwrap_or_default();
+        let camera_from_board = calibrated.motion.map_or(at_middle_row, |motion| {
+            motion.camera_from_board_at(&at_middle_row, read_out_time(corner.pixel.y, height_px))
+        });
         let predicted = sensor.lens.pixel_from_point(&(camera_from_board * place))?;
         Some([corner.pixel.x - predicted.x, corner.pixel.y - predicted.y])
     };
@@ -199,8 +203,10 @@ mod tests {
     use crate::geometry::pixel::ImageSize;
 
     #[test]
-    fn residuals_are_null_where_motion_is_not_kept() {
+    fn residuals_are_those_of_the_moving_board_and_null_where_its_motion_is_not_said() {
         let mut calibration = calibration::tests::example();
+        let sensor = SensorId::own(SensorKind::Color);
+        let motion = calibration.image_mut(&sensor).unwrap().views[0].motion.take();
         let frame = FrameFacts {
             sequence: 0,
             name: Some("left01.jpg".into()),
@@ -221,10 +227,25 @@ mod tests {
         };
         let still = shown(&calibration);
         assert_eq!(still.residuals_px.as_ref().map(Vec::len), Some(still.corners_px.len()));
-        calibration.image_mut(&SensorId::own(SensorKind::Color)).unwrap().rolling_shutter =
+        calibration.image_mut(&sensor).unwrap().rolling_shutter =
             Some(RollingShutter { translation_m: 0.01, rotation_rad: 0.0, agreement: 1.0 });
+        let unsaid = shown(&calibration);
+        assert_eq!(unsaid, SessionViewDocument { residuals_px: None, ..still.clone() });
+        assert!(unsaid.rms_px.is_some() && unsaid.camera_from_board.is_some());
+
+        let image = calibration.image_mut(&sensor).unwrap();
+        image.views[0].motion = motion;
+        let (lens, pose) = (image.lens, image.views[0].camera_from_board.unwrap());
         let moving = shown(&calibration);
-        assert_eq!(moving, SessionViewDocument { residuals_px: None, ..still });
-        assert!(moving.rms_px.is_some() && moving.camera_from_board.is_some());
+        let [u, v] = moving.corners_px[0];
+        let [col, row] = moving.indices[0];
+        let point = calibration.target.unwrap().board().unwrap().corner_at(col, row).unwrap();
+        let read = (v + 0.5) / 480.0 - 0.5;
+        let predicted = lens
+            .pixel_from_point(&(motion.unwrap().camera_from_board_at(&pose, read) * point))
+            .unwrap();
+        let [x, y] = moving.residuals_px.unwrap()[0];
+        assert!((x - (u - predicted.x)).abs() + (y - (v - predicted.y)).abs() < 1e-9);
+        assert_ne!(Some([x, y]), still.residuals_px.map(|residuals| residuals[0]));
     }
 }

@@ -3,10 +3,12 @@
 use nalgebra::{UnitQuaternion, Vector3};
 use plumb::calibration::solve::{SolvedCamera, solve_views};
 use plumb::estimation::camera::{CameraOptions, calibrate_camera};
+use plumb::estimation::measured_board::MeasuredBoard;
 use plumb::estimation::problem::{CameraProblem, LensChoice, Shutter};
 use plumb::estimation::uncertainty::{
     Distance, PixelGrid, projection_difference, projection_uncertainty,
 };
+use plumb::estimation::view_motion::read_out_time;
 use plumb::geometry::lens::LensModel;
 use plumb::geometry::pose::Pose;
 use rand::RngExt;
@@ -209,6 +211,36 @@ fn what_is_stated_of_a_badly_printed_board_reprojects() {
             }
         }
     }
+}
+
+/// The same of a board that moves while rows are read, also where its motion counts in part.
+#[test]
+fn what_is_stated_of_a_moving_board_reprojects() {
+    let (mut whole, mut in_part) = (0, 0);
+    for (views, seed, moved) in
+        (0..4).map(|k| (14, k, (0.002, 0.006))).chain((300..320).map(|k| (8, k, (0.001, 0.003))))
+    {
+        let (camera, problem) = rolling(views, seed, moved);
+        let estimate = calibrate_camera(&problem, &brown()).unwrap();
+        let Some(shutter) = estimate.rolling_shutter else { continue };
+        *(if shutter.agreement < 1.0 { &mut in_part } else { &mut whole }) += 1;
+        for (view, found) in problem.views.iter().zip(&estimate.views) {
+            let (pose, motion) = (found.camera_from_board.unwrap(), found.motion.unwrap());
+            for (corner, residual) in view.correspondences.iter().zip(&found.residuals_px) {
+                let time = read_out_time(corner.pixel.y, f64::from(camera.size.height));
+                let offset = |shape: &MeasuredBoard| shape.offset_at(&corner.point_in_board);
+                let offset = estimate.board_shape.as_ref().and_then(offset).unwrap_or_default();
+                let point =
+                    motion.camera_from_board_at(&pose, time) * (corner.point_in_board + offset);
+                let projected = estimate.lens.pixel_from_point(&point).unwrap();
+                let off = [corner.pixel.x - projected.x, corner.pixel.y - projected.y];
+                for (off, residual) in off.into_iter().zip(residual) {
+                    assert!((off - residual).abs() < 1e-6, "{off} px, {residual} px are stated");
+                }
+            }
+        }
+    }
+    assert!(whole >= 2 && in_part >= 2, "{whole} worlds with a rolling shutter, {in_part} in part");
 }
 
 #[test]

@@ -12,6 +12,7 @@ use crate::calibration::depth_calibration::DepthCalibration;
 use crate::calibration::sensor::SensorId;
 use crate::calibration::target::CalibrationTarget;
 use crate::estimation::measured_board::{MeasuredBoard, RollingShutter};
+use crate::estimation::view_motion::ViewMotion;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
@@ -276,6 +277,8 @@ pub struct CalibratedView {
     pub rms_px: Option<f64>,
     /// Where the board was; `None` for a view without a pose.
     pub camera_from_board: Option<Pose>,
+    /// How the board moved while the view's rows were read; `None` without a rolling shutter.
+    pub motion: Option<ViewMotion>,
     /// Where the scene was, without a board; the first used view is the identity.
     pub camera_from_scene: Option<Pose>,
 }

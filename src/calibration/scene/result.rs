@@ -110,6 +110,7 @@ impl From<SceneView> for CalibratedView {
             reason: view.reason,
             rms_px: view.rms_px,
             camera_from_board: None,
+            motion: None,
             camera_from_scene: view.camera_from_scene,
         }
     }

@@ -54,6 +54,11 @@ pub(crate) struct BoardBasis {
 }
 
 impl BoardBasis {
+    /// Half the board's diagonal, in meters: what a rotation is in units of.
+    pub(super) fn lever(&self) -> f64 {
+        self.half_extent[0].hypot(self.half_extent[1])
+    }
+
     /// `None` where the points do not lie near one plane z = const, are too few, or are more than
     /// views of one board have.
     /// `in_detail` in place of whether there is a shape at all.

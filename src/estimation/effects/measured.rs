@@ -5,6 +5,8 @@ use nalgebra::{DMatrix, DVector, Point3, Vector3};
 
 use crate::estimation::effects::effects_fit::EffectsFit;
 use crate::estimation::measured_board::{MeasuredBoard, RollingShutter, bow_m};
+use crate::estimation::view_motion::ViewMotion;
+use crate::geometry::pose::Pose;
 
 impl MeasuredBoard {
     /// `None` where the board's shape is not in the model; `center` is that of the problem's
@@ -43,7 +45,6 @@ impl RollingShutter {
         if !effects.variances.moves() || good.is_empty() {
             return None;
         }
-        let lever = effects.basis.half_extent[0].hypot(effects.basis.half_extent[1]);
         let rms = |from: usize| {
             let square =
                 |view: &usize| effects.state.motions[*view].fixed_rows::<3>(from).norm_squared();
@@ -51,8 +52,26 @@ impl RollingShutter {
         };
         Some(Self {
             translation_m: rms(3),
-            rotation_rad: rms(0) / lever,
+            rotation_rad: rms(0) / effects.basis.lever(),
             agreement: effects.shutter_agreement,
+        })
+    }
+}
+
+impl ViewMotion {
+    /// Of an observation at a frame set, with the board at `camera_from_board`; both are about
+    /// `center`, that of the problem's points. `None` without motion.
+    pub(crate) fn of(
+        effects: &EffectsFit,
+        place: (usize, usize),
+        camera_from_board: &Pose,
+        center: &Vector3<f64>,
+    ) -> Option<Self> {
+        let [rotation, translation] = effects.state.motion_in_board(&effects.basis, place)?;
+        Some(Self {
+            rotation_rad: camera_from_board.rotation() * rotation,
+            translation_m: camera_from_board.rotation() * translation,
+            center_m: Point3::from(*center),
         })
     }
 }

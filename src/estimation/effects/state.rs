@@ -5,6 +5,7 @@ use nalgebra::{DVector, Point3, UnitQuaternion, Vector2, Vector3, Vector6};
 use crate::estimation::effects::board_basis::BoardBasis;
 use crate::estimation::effects::effect::Effect;
 use crate::estimation::joint::{BoardObservation, Layout, State};
+use crate::estimation::view_motion::read_out_time;
 use crate::geometry::pixel::Pixel;
 use crate::geometry::pose::{Pose, pose_step};
 
@@ -60,12 +61,6 @@ pub(super) fn read_out_times(observation: &BoardObservation, scene: Scene<'_>) -
     observation.pixels.iter().map(time).collect()
 }
 
-/// When a pixel was read, in read-outs of an image from its middle, by its coordinate along the way
-/// that lines are read and the image's length that way, both in pixels.
-pub(crate) fn read_out_time(along_px: f64, length_px: f64) -> f64 {
-    (along_px + 0.5) / length_px - 0.5
-}
-
 impl EffectsState {
     pub(super) fn flat_and_still(fixed: State, basis: &BoardBasis, observations: usize) -> Self {
         Self { fixed, shape: vec![0.0; basis.len()], motions: vec![Vector6::zeros(); observations] }
@@ -110,12 +105,8 @@ impl EffectsState {
         for (point, index_of_point) in seen.points.iter_mut().zip(&scene.basis.point_of[index]) {
             *point += offsets[*index_of_point];
         }
-        let motion = &self.motions[index];
-        if motion.iter().any(|v| *v != 0.0) {
-            let board_from_camera = self.fixed.rig_from_board[seen.frame_set].rotation().inverse();
-            let lever = scene.basis.half_extent[0].hypot(scene.basis.half_extent[1]);
-            let spin = board_from_camera * (motion.fixed_rows::<3>(0).into_owned() / lever);
-            let velocity = board_from_camera * motion.fixed_rows::<3>(3).into_owned();
+        let motion = self.motion_in_board(scene.basis, (index, seen.frame_set));
+        if let Some([spin, velocity]) = motion {
             let times = read_out_times(&seen, scene);
             for (point, time) in seen.points.iter_mut().zip(times) {
                 let rotation = UnitQuaternion::from_scaled_axis(spin * time);
@@ -167,6 +158,22 @@ impl EffectsState {
             motion.fixed_rows_mut::<3>(3).apply(|v| *v /= 1.0 + scale);
         }
         self
+    }
+
+    /// An observation's motion in the board frame: a rotation vector in radians, then a translation
+    /// in meters; `None` without motion.
+    pub(super) fn motion_in_board(
+        &self,
+        basis: &BoardBasis,
+        (index, frame_set): (usize, usize),
+    ) -> Option<[Vector3<f64>; 2]> {
+        let motion = &self.motions[index];
+        if motion.iter().all(|v| *v == 0.0) {
+            return None;
+        }
+        let board_from_camera = self.fixed.rig_from_board[frame_set].rotation().inverse();
+        let of = |from: usize| motion.fixed_rows::<3>(from).into_owned();
+        Some([board_from_camera * (of(0) / basis.lever()), board_from_camera * of(3)])
     }
 
     /// Takes an effect out.

@@ -125,7 +125,7 @@ impl System {
         let rotation = state.fixed.rig_from_board[seen.frame_set].rotation_matrix();
         let by = by_board_axes(&rotation, &plain[lens * rows..]);
         let translation = if scene.moves { read_out_times(&seen, scene) } else { Vec::new() };
-        let lever = 1.0 / scene.basis.half_extent[0].hypot(scene.basis.half_extent[1]);
+        let lever = 1.0 / scene.basis.lever();
         let rotation: Vec<f64> = translation.iter().map(|time| time * lever).collect();
         let times = [rotation.as_slice(), &translation];
         let point_of = &scene.basis.point_of[observation];

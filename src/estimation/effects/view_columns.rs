@@ -86,7 +86,7 @@ impl<'a> ViewColumns<'a> {
             }
         }
         let times = read_out_times(seen, self.scene);
-        let lever = 1.0 / basis.half_extent[0].hypot(basis.half_extent[1]);
+        let lever = 1.0 / basis.lever();
         for column in 0..self.pose() - self.motion() {
             let unit = if column < 3 { lever } else { 1.0 };
             for (corner, time) in times.iter().enumerate() {
