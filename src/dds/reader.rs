@@ -67,6 +67,12 @@ impl TopicReader {
         })
     }
 
+    /// Passes over all that has come. A participant keeps samples of a topic for readers to come,
+    /// also where neither they nor their publisher asked for that.
+    pub fn skip(&self) {
+        while self.take().is_some() {}
+    }
+
     /// What has happened to its publishers since this was last asked.
     pub fn changes(&self) -> Vec<ReaderChange> {
         let mut changes = Vec::new();

@@ -24,6 +24,7 @@ use crate::pipeline::guarded::guarded;
 use crate::pipeline::live_camera::LiveCamera;
 use crate::pipeline::message::Message;
 use crate::pipeline::search::CameraSearch;
+use crate::pipeline::silence::Silence;
 
 /// How a camera is watched over.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -38,7 +39,8 @@ pub struct Supervision {
     pub moved_check: Duration,
     /// The wait before a source that needs a person is tried again. Default: 10 s.
     pub failed_retry: Duration,
-    /// A device that falls silent for so long, and for five of its frames, is lost. Default: 1.5 s.
+    /// A device that falls silent for so long, and for five of its frames, is lost; one that states
+    /// no rate, for three times as long as between its last frames. Default: 1.5 s.
     pub stall: Duration,
     /// The same for a device that was opened and has given no frame yet: many take a second or two.
     /// Default: 4 s.
@@ -90,6 +92,7 @@ pub(super) struct Capture {
     pub(super) supervision: Supervision,
     /// A silent source is a lost one.
     pub(super) may_stall: bool,
+    pub(super) silence: Silence,
     pub(super) rate: FrameRate,
     pub(super) retry: Duration,
     /// Whether the size of its images changed since they were compared.
@@ -177,7 +180,7 @@ impl Capture {
         let mut held: Option<Instant> = None;
         let mut pace = IdlePace::default();
         let mut counted = Losses::default();
-        let mut silence = Duration::ZERO;
+        self.silence.opened();
         let mut delivered = false;
         let mut cut: Option<String> = None;
         loop {
@@ -198,7 +201,7 @@ impl Capture {
             self.count_losses(source.losses(), &mut counted);
             match next {
                 Ok(frame_set) => {
-                    silence = Duration::ZERO;
+                    self.silence.ended();
                     delivered = true;
                     if opened.elapsed() > self.supervision.longest_retry {
                         self.retry = self.supervision.first_retry;
@@ -220,8 +223,10 @@ impl Capture {
                     }
                 }
                 Err(CaptureError::TimedOut { waited }) => {
-                    silence += waited;
-                    if self.may_stall && silence >= self.stall_limit(description, delivered) {
+                    self.silence.went_on(waited);
+                    let limits = [self.supervision.stall, self.supervision.first_frame];
+                    let too_long = self.silence.too_long(limits, description.fps);
+                    if let Some(silence) = too_long.filter(|_| self.may_stall) {
                         return End::Lost(format!("no frame for {:.1} s", silence.as_secs_f64()));
                     }
                 }
@@ -244,12 +249,6 @@ impl Capture {
                 Err(error @ CaptureError::Lost { .. }) => return End::Lost(error.to_string()),
             }
         }
-    }
-
-    fn stall_limit(&self, description: &SourceDescription, delivered: bool) -> Duration {
-        let five_frames_s = description.fps.map_or(0.0, |fps| 5.0 / fps.max(1e-3));
-        let limit = if delivered { self.supervision.stall } else { self.supervision.first_frame };
-        limit.max(Duration::from_secs_f64(five_frames_s))
     }
 
     fn hold_still(&self, source: &mut dyn FrameSource, on: bool) {

@@ -75,6 +75,7 @@ mod search;
 mod seen;
 pub mod session_request;
 mod session_thread;
+mod silence;
 mod solve_job;
 mod solve_thread;
 mod stop_signal;

@@ -28,6 +28,7 @@ use crate::pipeline::preview_thread;
 use crate::pipeline::recorder::RecorderLink;
 use crate::pipeline::search::CurrentSearch;
 use crate::pipeline::session_thread::SessionThread;
+use crate::pipeline::silence::Silence;
 use crate::pipeline::solve_thread;
 use crate::pipeline::stop_signal::StopSignal;
 use crate::pipeline::store_health::StoreHealth;
@@ -176,6 +177,7 @@ pub(super) fn start_camera(
         open,
         supervision: options.supervision,
         may_stall,
+        silence: Silence::default(),
         rate: FrameRate::default(),
         retry: options.supervision.first_retry,
         resized: false,

@@ -203,14 +203,15 @@ class Publisher:
         self.writer.write(message)
 
     @contextlib.contextmanager
-    def repeating(self, message):
-        """Sends it ten times a second, as a driver does that nobody waits for."""
+    def going_on(self, messages):
+        """Sends one after another, ten a second, as a driver does that nobody waits for."""
         ended = threading.Event()
 
         def run():
-            while not ended.is_set():
+            for message in messages:
                 self.send(message)
-                ended.wait(0.1)
+                if ended.wait(0.1):
+                    return
 
         sending = threading.Thread(target=run)
         sending.start()

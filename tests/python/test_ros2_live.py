@@ -1,5 +1,6 @@
 """A camera whose driver publishes over DDS: Eclipse Cyclone DDS is the driver."""
 
+import itertools
 import json
 import os
 import socket
@@ -43,9 +44,33 @@ def daemon(plumb_binary, tmp_path):
 
 def publish_walk(walk, driver, events, every=1, message=ros.image):
     """Shows the walk frame by frame: the next one when Plumb has searched the one before."""
+    until_searched(driver, events, lambda stamp_ns: message(np.full_like(walk[0], 128), stamp_ns))
     for index, pixels in enumerate(walk[::every]):
         driver.send(message(pixels, START_NS + index * 10**9 // 15))
         next(event for kind, event in events if kind == "detection")
+
+
+def until_searched(driver, events, blank):
+    """Shows nothing until a session that has begun searches what comes, and has searched all of it."""
+    sent, sequences, searched = [], {}, set()
+
+    def blanks():
+        for nanoseconds in itertools.count():
+            sent.append(nanoseconds)
+            yield blank(START_NS - 10**9 + nanoseconds)
+
+    def take(kind, event):
+        if kind == "frame":
+            _, _, fraction = event["received_at"].rstrip("Z").partition(".")
+            sequences[int(fraction.ljust(9, "0"))] = event["sequence"]
+        elif kind == "detection":
+            searched.add(event["sequence"])
+
+    with driver.going_on(blanks()):
+        while not searched:
+            take(*next(events))
+    while sequences.get(sent[-1]) not in searched:
+        take(*next(events))
 
 
 def jpeg(pixels, stamp_ns):
@@ -97,11 +122,24 @@ def test_a_publisher_that_ends_and_comes_back(walk, participant, daemon):
         for _ in range(3):
             driver = ros.Publisher(participant, "/front/image_raw", ros.Image)
             # Again and again: the reader that is found first may be the one that was lost.
-            with driver.repeating(ros.image(walk[0], START_NS)):
+            with driver.going_on(itertools.repeat(ros.image(walk[0], START_NS))):
                 plumb.wait_for_state(events, "front", lambda status: status["state"] == "streaming")
             del driver
             gone = plumb.wait_for_state(events, "front", lambda status: status["state"] == "lost")
             assert "the publisher of /front/image_raw is gone" in gone["reason"], gone
+
+
+def test_images_from_before_a_silence_are_none_of_now(walk, participant, daemon):
+    with daemon() as plumb:
+        events = plumb.events("front")
+        driver = ros.Publisher(participant, "/front/image_raw", ros.Image)
+        driver.wait_for_reader()
+        for index in range(3):
+            driver.send(ros.image(walk[index], START_NS + index * 10**9))
+        status = plumb.wait_for_state(events, "front", lambda status: (status["reason"] or "").startswith("no frame for 1."))
+        # Opened again, it gives nothing.
+        again = plumb.wait_for_state(events, "front", lambda status: (status["reason"] or "").startswith("no frame for 4."))
+        assert (again["state"], again["frames"]) == ("lost", status["frames"]), again
 
 
 WRONG = {

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use crate::capture::ros2::options::Ros2Options;
 use crate::capture::ros2::source::{Ros2Source, Subscriptions};
 use crate::capture::{CaptureError, FrameSource, SourceOpener};
-use crate::dds::{DdsError, Participant, PublishedTopic};
+use crate::dds::{DdsError, Participant, PublishedTopic, TopicReader};
 use crate::recording::CameraMessages;
 
 /// How long opening waits for a publisher to be discovered: by RTPS each participant announces
@@ -70,9 +70,11 @@ impl Ros2Camera {
             .map(|offered| subscribe(&offered, TRANSFORMS_DEPTH))
             .transpose()?;
         let infos = infos.collect::<Result<_, _>>()?;
-        let images_read: Result<_, _> =
+        let images_read: Result<Vec<TopicReader>, _> =
             images.iter().map(|image| subscribe(image, DEPTH)).collect();
         let read = Subscriptions { images: images_read?, infos, transforms };
+        // Those that were taken when the topic was open before are no images of now.
+        read.images.iter().for_each(TopicReader::skip);
         let source =
             Ros2Source::new(self.options.clone(), images, read, messages, &self.next_sequence);
         Ok(source.with_stated_calibration())

@@ -1,0 +1,108 @@
+//! How long a source may be silent before it is lost.
+
+use std::time::Duration;
+
+/// A source is lost when it is silent for so many times as long as it was between its frames.
+const FRAMES_MISSED: u32 = 3;
+
+/// Frames with a longer silence between them are no pace that is waited for.
+const SLOWEST: Duration = Duration::from_secs(10);
+
+/// How long a source has been silent, and was before its last frames.
+#[derive(Debug, Default)]
+pub(super) struct Silence {
+    /// Since the last frame, or since it was opened.
+    now: Duration,
+    /// Since the last frame, also of an opening before.
+    since_frame: Duration,
+    /// Before each of the last two frames.
+    before_frames: [Duration; 2],
+    delivered: bool,
+}
+
+impl Silence {
+    /// The source was opened, for the first time or again.
+    pub(super) fn opened(&mut self) {
+        (self.now, self.delivered) = (Duration::ZERO, false);
+    }
+
+    /// A frame came.
+    pub(super) fn ended(&mut self) {
+        let [_, last] = self.before_frames;
+        *self =
+            Self { before_frames: [last, self.since_frame], delivered: true, ..Self::default() };
+    }
+
+    /// Nothing came for so long.
+    pub(super) fn went_on(&mut self, waited: Duration) {
+        self.now += waited;
+        self.since_frame += waited;
+    }
+
+    /// How long it has been silent if that is too long: longer than `stall`, or `first_frame` after
+    /// it was opened, and than a source that states this rate may be.
+    pub(super) fn too_long(
+        &self,
+        [stall, first_frame]: [Duration; 2],
+        fps: Option<f64>,
+    ) -> Option<Duration> {
+        let limit = if self.delivered { stall } else { first_frame };
+        let five_frames = fps.map(|fps| Duration::from_secs_f64(5.0 / fps.max(1e-3)));
+        // Both, so that one silence of a source that stalled is not taken for its pace.
+        let pace = self.before_frames[0].min(self.before_frames[1]).min(SLOWEST);
+        let limit = limit.max(five_frames.unwrap_or(FRAMES_MISSED * pace));
+        (self.now >= limit).then_some(self.now)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TWO_SECONDS: Duration = Duration::from_secs(2);
+    const LIMITS: [Duration; 2] = [Duration::from_millis(1500), Duration::from_secs(4)];
+
+    fn frame_after(silence: &mut Silence, waited: Duration) {
+        silence.went_on(waited);
+        silence.ended();
+    }
+
+    #[test]
+    fn a_slow_topic_is_lost_twice_and_then_waited_for() {
+        let mut silence = Silence::default();
+        frame_after(&mut silence, Duration::ZERO);
+        for _ in 0..2 {
+            silence.went_on(TWO_SECONDS);
+            assert_eq!(silence.too_long(LIMITS, None), Some(TWO_SECONDS));
+            silence.opened();
+            silence.ended();
+        }
+        for _ in 0..5 {
+            silence.went_on(TWO_SECONDS);
+            assert_eq!(silence.too_long(LIMITS, None), None);
+            silence.ended();
+        }
+        silence.went_on(3 * TWO_SECONDS);
+        assert_eq!(silence.too_long(LIMITS, None), Some(3 * TWO_SECONDS));
+    }
+
+    #[test]
+    fn a_source_that_stalled_once_is_found_to_stall_as_soon_again() {
+        let mut silence = Silence::default();
+        for waited in [0, 0, 8000, 30, 30] {
+            frame_after(&mut silence, Duration::from_millis(waited));
+            silence.went_on(TWO_SECONDS);
+            assert!(silence.too_long(LIMITS, None).is_some(), "after {waited} ms");
+            silence = Silence { now: Duration::ZERO, since_frame: Duration::ZERO, ..silence };
+        }
+    }
+
+    #[test]
+    fn a_stated_rate_is_believed() {
+        let mut silence = Silence::default();
+        silence.ended();
+        silence.went_on(TWO_SECONDS);
+        assert_eq!(silence.too_long(LIMITS, Some(30.0)), Some(TWO_SECONDS));
+        assert_eq!(silence.too_long(LIMITS, Some(1.0)), None);
+    }
+}
