@@ -3,9 +3,10 @@
 use std::time::Duration;
 
 /// A source is lost when it is silent for so many times as long as it was between its frames.
+/// Chosen, not swept.
 const FRAMES_MISSED: u32 = 3;
 
-/// Frames with a longer silence between them are no pace that is waited for.
+/// Frames with a longer silence between them are no pace that is waited for. Chosen, not swept.
 const SLOWEST: Duration = Duration::from_secs(10);
 
 /// How long a source has been silent, and was before its last frames.
