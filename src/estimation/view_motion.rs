@@ -8,9 +8,9 @@ use crate::geometry::pose::Pose;
 /// velocity. A view's pose is that at the middle row.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ViewMotion {
-    /// The rotation about `center`, as a rotation vector in the camera's frame, in radians.
+    /// The rotation about `center_m`, as a rotation vector in the camera's frame, in radians.
     pub rotation_rad: Vector3<f64>,
-    /// The translation of `center` in the camera's frame, in meters.
+    /// The translation of `center_m` in the camera's frame, in meters.
     pub translation_m: Vector3<f64>,
     /// A point of the board, in the board frame, in meters.
     pub center_m: Point3<f64>,
