@@ -13,6 +13,7 @@ use crate::estimation::lens_choice::{ChosenLens, choose_lens};
 use crate::estimation::lens_misfit::LensMisfit;
 use crate::estimation::model_check::ModelCheck;
 use crate::estimation::model_error::{noise_floor_px_of, with_noise_floor};
+use crate::estimation::other_minimum::closer_of_two_minima;
 pub use crate::estimation::problem::{CameraOptions, CameraStart};
 use crate::estimation::problem::{CameraProblem, GivenParameter, LensChoice, check};
 use crate::estimation::start::Prepared;
@@ -109,10 +110,8 @@ fn of_lens_or_views(
     if options.given.iter().any(|given| given.name == parameter) {
         return error;
     }
-    let coefficients = model.coefficient_names();
-    let is_shared = |given: &&GivenParameter| !coefficients.contains(&given.name.as_str());
-    let given = options.given.iter().filter(is_shared).cloned().collect();
-    let any = CameraOptions { lens: LensChoice::Auto, given, start: None, ..options.clone() };
+    let shared = options.clone().without_given_coefficients(model);
+    let any = CameraOptions { lens: LensChoice::Auto, start: None, ..shared };
     match solve_twice(problem, &any) {
         Ok((CameraEstimate { lens, .. }, _)) => {
             EstimationError::OpenCoefficient { model, parameter, instead: lens.model() }
@@ -131,13 +130,13 @@ fn solve_twice(
     options: &CameraOptions,
 ) -> Result<(CameraEstimate, CameraFit), EstimationError> {
     let known_px = options.start.as_ref().map_or(0.0, |start| start.noise_floor_px);
-    let (first, first_fit) = solve_weighted(problem, known_px, options)?;
+    let (first, first_fit) = solve_weighted(problem, known_px, options, Minima::BothSides)?;
     let Some(noise_floor_px) = noise_floor_px_of(problem, &first) else {
         return Ok((first, first_fit));
     };
     let model = LensChoice::Model(first.lens.model());
     let again = CameraOptions { lens: model, start: Some(first.to_start()), ..options.clone() };
-    match solve_weighted(problem, noise_floor_px, &again) {
+    match solve_weighted(problem, noise_floor_px, &again, Minima::Nearest) {
         Ok((estimate, _)) if estimate.rms_px > ANOTHER_MINIMUM * first.rms_px => {
             Ok((first, first_fit))
         }
@@ -146,10 +145,20 @@ fn solve_twice(
                 estimate.lens_covariance += &between_models;
                 fit.between_models = Some(between_models);
             }
-            Ok((CameraEstimate { compared: first.compared, ..estimate }, fit))
+            let CameraEstimate { compared, other_minimum, .. } = first;
+            Ok((CameraEstimate { compared, other_minimum, ..estimate }, fit))
         }
         Err(_) => Ok((first, first_fit)),
     }
+}
+
+/// Which minima of the cost are asked for.
+#[derive(Clone, Copy, PartialEq)]
+enum Minima {
+    /// That which a descent from the start ends in.
+    Nearest,
+    /// Where the model may have two, the closer fit ([`crate::estimation::other_minimum`]).
+    BothSides,
 }
 
 /// As [`solve`], with an error of `noise_floor_px` added to every corner's own.
@@ -157,6 +166,7 @@ fn solve_weighted(
     problem: &CameraProblem,
     noise_floor_px: f64,
     options: &CameraOptions,
+    minima: Minima,
 ) -> Result<(CameraEstimate, CameraFit), EstimationError> {
     let problem = &*with_noise_floor(problem, noise_floor_px);
     let mut prepared = Prepared::of(problem);
@@ -164,20 +174,25 @@ fn solve_weighted(
     if let Some(board) = &options.measured_board {
         prepared.place_on(board)?;
     }
-    let (fit, compared) = match options.lens {
+    let (fit, compared, other_minimum) = match options.lens {
         LensChoice::Model(model) => {
             let plain = fit_camera(&mut prepared, model, options)?;
-            (with_effects(plain, problem.image_size, options), Vec::new())
+            let (plain, other) = match minima {
+                Minima::Nearest => (plain, None),
+                Minima::BothSides => closer_of_two_minima(plain, &prepared),
+            };
+            (with_effects(plain, problem.image_size, options), Vec::new(), other)
         }
         LensChoice::Auto => {
             let ChosenLens { full, compared, .. } = choose_lens(&mut prepared, options)?;
-            (full, compared)
+            (full, compared, None)
         }
     };
     Ok((
         CameraEstimate {
             noise_floor_px,
             compared,
+            other_minimum,
             ..assemble(problem, &prepared, &fit, FitCovariance::of(&fit).as_ref(), Part::WHOLE)?
         },
         fit,

@@ -11,6 +11,7 @@ use crate::estimation::joint::minimize::Minimum;
 use crate::estimation::joint::normal::ChainedPose;
 use crate::estimation::lens_choice::LensTrial;
 use crate::estimation::measured_board::{MeasuredBoard, RollingShutter};
+use crate::estimation::other_minimum::OtherMinimum;
 use crate::estimation::problem::{CameraProblem, CameraStart};
 use crate::estimation::start::Prepared;
 use crate::estimation::view_fault::ViewFault;
@@ -50,6 +51,9 @@ pub struct CameraEstimate {
     /// The models that were compared, where the choice was left open; the chosen one is
     /// [`Self::lens`]'s.
     pub compared: Vec<LensTrial>,
+    /// Another lens of the same model that fits the views as closely as [`Self::lens`];
+    /// [`Self::lens_covariance`] is about [`Self::lens`] alone, [`Self::lens_std`] counts both.
+    pub other_minimum: Option<OtherMinimum>,
 }
 
 /// One view of an estimate.
@@ -79,7 +83,16 @@ impl CameraEstimate {
     /// Standard deviation of each lens parameter, in the order of [`Lens::parameter_names`]; 0
     /// where not estimated.
     pub fn lens_std(&self) -> Vec<f64> {
-        self.lens_covariance.diagonal().iter().map(|variance| variance.sqrt()).collect()
+        let mut variances: Vec<f64> = self.lens_covariance.diagonal().iter().copied().collect();
+        if let Some(OtherMinimum { lens, probability }) = &self.other_minimum {
+            // At even odds the one that is wrong is off by the whole distance.
+            let odds = probability / (1.0 - probability);
+            let pairs = lens.parameters().into_iter().zip(self.lens.parameters());
+            for (variance, (other, own)) in variances.iter_mut().zip(pairs) {
+                *variance += odds * (other - own).powi(2);
+            }
+        }
+        variances.into_iter().map(f64::sqrt).collect()
     }
 
     /// What to start from when views are added.
@@ -153,6 +166,7 @@ pub(crate) fn assemble(
             .and_then(|effects| MeasuredBoard::of(effects, prepared.center_in_board)),
         rolling_shutter: effects.and_then(|effects| RollingShutter::of(effects, &good)),
         compared: Vec::new(),
+        other_minimum: None,
     })
 }
 

@@ -159,6 +159,15 @@ pub(crate) fn fit_camera(
     fit_from(prepared, state, free_lens, needed)
 }
 
+/// Fits the model of `fit` to the same views again, from another state.
+pub(crate) fn fit_again(
+    prepared: &Prepared,
+    fit: &CameraFit,
+    state: State,
+) -> Result<CameraFit, EstimationError> {
+    fit_from(prepared, state, fit.layout.sensors[0].lens.clone(), 1)
+}
+
 /// Fits on from a state; then decides again about every view.
 fn fit_from(
     prepared: &Prepared,

@@ -42,6 +42,10 @@ pub(crate) fn with_jackknife(
         // The solves keep the model.
         lens_covariance += between_models * weight;
     }
+    if let Some(doubt) = &fit.shutter_doubt {
+        // The estimate has 1 − weight of it, as it is to be.
+        lens_covariance += doubt * doubt.transpose() * (weight * (1.0 - weight));
+    }
     CameraEstimate { lens_covariance, ..estimate }
 }
 

@@ -53,15 +53,17 @@ impl LensMisfit {
         let is_larger = |model: &LensModel| model.facts().auto_order > Some(order);
         let mut models = LensModel::compared().filter(is_larger);
         let stated_board = (fit, prepared.observations.as_slice());
-        if !models.any(|model| could_fit_better(model, stated_board, (problem, options))) {
+        // A coefficient that is given is one of the model asked for.
+        let of_larger = options.clone().without_given_coefficients(stated);
+        if !models.any(|model| could_fit_better(model, stated_board, (problem, &of_larger))) {
             return None;
         }
         // At their minima: of fits that ended at 0.03 standard deviations no larger model was worth
         // more on nearly equal views, where brown's focal length was off by four of its own.
-        let mut fitted = |model| fit_camera(&mut prepared, model, options).ok();
-        let own = fitted(stated)?;
+        let own = fit_camera(&mut prepared, stated, options).ok()?;
+        let fitted = |model| fit_camera(&mut prepared, model, &of_larger).ok();
         let mut larger: Vec<CameraFit> =
-            LensModel::compared().filter(is_larger).filter_map(&mut fitted).collect();
+            LensModel::compared().filter(is_larger).filter_map(fitted).collect();
         larger.retain(|fit| !has_pole(fit.lens(), problem.image_size));
         // As an automatic choice does, with the outliers of the model that fits most closely.
         let closest = larger.get(closest_of(&larger))?;
@@ -81,7 +83,7 @@ impl LensMisfit {
             .filter(|larger| of_own.as_ref().is_none_or(|own| larger.predicts_better_than(own)));
         let best = better.min_by(|a, b| held_out_px(a).total_cmp(&held_out_px(b)))?;
         let plain_px = [of_own.as_ref().map(held_out_px), Some(held_out_px(&best))];
-        let full = with_effects(best.fit.clone(), problem.image_size, options);
+        let full = with_effects(best.fit.clone(), problem.image_size, &of_larger);
         let held_out_rms_px = if fit.effects.is_some() || full.effects.is_some() {
             beyond_effects(fit, &full, views, grid)?
         } else {
@@ -122,7 +124,8 @@ fn common_corners(a: &CameraFit, b: &CameraFit) -> [Vec<BoardObservation>; 2] {
 }
 
 /// How many times as large the standard deviations of `estimate` are when its projections' mean
-/// squared difference from `other`, in units of their variance, counts as one more variance.
+/// squared difference from `other`, in units of their variance, counts as one more variance. 1 for
+/// a lens that is given whole.
 fn widening(estimate: &CameraEstimate, other: &Lens, grid: PixelGrid) -> Option<f64> {
     let known = projection_uncertainty(
         &estimate.lens,
@@ -136,7 +139,7 @@ fn widening(estimate: &CameraEstimate, other: &Lens, grid: PixelGrid) -> Option<
         .zip(&known.square_px2)
         .filter_map(|(moved, square_px2)| {
             let [x, y] = (*moved)?;
-            Some((x * x + y * y) / (*square_px2)?)
+            Some((x * x + y * y) / square_px2.filter(|square| *square > 0.0)?)
         })
         .collect();
     Some((1.0 + ratios.iter().sum::<f64>() / ratios.len().max(1) as f64).sqrt())

@@ -151,10 +151,16 @@ fn moves_projections(
 /// noise, so that those with large errors do not decide alone. A single view has no variance: the
 /// answer is [`HELD_OUT`] with the sign of its gain.
 fn gain_in_standard_errors(squares: &[[f64; 2]]) -> f64 {
-    let n = squares.len() as f64;
     let logarithm = |square: f64| square.max(f64::MIN_POSITIVE).ln();
     let gains: Vec<f64> =
         squares.iter().map(|[smaller, larger]| logarithm(*smaller) - logarithm(*larger)).collect();
+    in_standard_errors(&gains)
+}
+
+/// The mean of what views gain, in standard errors of that mean; of one view as of
+/// [`gain_in_standard_errors`].
+pub(crate) fn in_standard_errors(gains: &[f64]) -> f64 {
+    let n = gains.len() as f64;
     let mean = gains.iter().sum::<f64>() / n;
     if gains.len() < 2 {
         // One view says which is better, and nothing of chance.

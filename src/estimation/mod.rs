@@ -16,6 +16,7 @@
 //! | color and depth as one camera | [`rgbd`], [`depth_error`] |
 //! | how far to trust a projection | [`uncertainty`] |
 //! | which lens model | [`lens_choice`], `lens_trial`, `model_averaging` |
+//! | whether another lens of the model fits as closely | [`other_minimum`] |
 //! | why there is no answer | [`error`] |
 //! | how an estimate that nobody waits for ends early | [`interrupt`] |
 
@@ -46,6 +47,7 @@ pub mod model_check;
 mod model_error;
 mod nearest_lens;
 mod normal_probability;
+pub mod other_minimum;
 pub(crate) mod planar_pose;
 pub mod problem;
 mod refit;

@@ -139,6 +139,14 @@ impl CameraOptions {
         }
     }
 
+    /// The same without what is known of the coefficients of `model`, of which other models have
+    /// none, or other ones of the same name.
+    #[must_use]
+    pub(crate) fn without_given_coefficients(mut self, model: LensModel) -> Self {
+        self.given.retain(|given| !model.coefficient_names().contains(&given.name.as_str()));
+        self
+    }
+
     /// The same with the board as stated and all rows read at once.
     #[must_use]
     pub fn as_stated(self) -> Self {

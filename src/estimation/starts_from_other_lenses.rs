@@ -46,13 +46,14 @@ pub(crate) fn start_from_each_other(
 /// lens that is too simple seems to fit most closely once it has given up the views that show it.
 pub(crate) fn closest_of(fits: &[CameraFit]) -> usize {
     let limit = fits.iter().map(|fit| fit.robust.limit).fold(f64::INFINITY, f64::min);
-    let costs: Vec<f64> = fits.iter().map(|fit| truncated_squares(fit, limit * limit)).collect();
+    let cost = |fit| squares_of_views(fit, limit * limit).into_iter().sum();
+    let costs: Vec<f64> = fits.iter().map(cost).collect();
     (0..fits.len()).min_by(|a, b| costs[*a].total_cmp(&costs[*b])).unwrap_or_default()
 }
 
-/// The sum of the squared residuals of all corners, each `most` at most; those that the fit does
-/// not use count as outliers.
-fn truncated_squares(fit: &CameraFit, most: f64) -> f64 {
+/// Of each view, the sum of the squared residuals of all corners, each `most` at most; those that
+/// the fit does not use count as outliers.
+pub(crate) fn squares_of_views(fit: &CameraFit, most: f64) -> Vec<f64> {
     let views = fit.observations.iter().zip(&fit.robust.minimum.equations.residuals);
     let of_view = |(observation, residuals): (&BoardObservation, &Vec<[f64; 2]>)| -> f64 {
         let used = observation.used.iter().zip(residuals).filter(|(used, _)| **used);
@@ -60,7 +61,7 @@ fn truncated_squares(fit: &CameraFit, most: f64) -> f64 {
         let outliers = observation.used.iter().filter(|used| !**used).count();
         squares.sum::<f64>() + outliers as f64 * most
     };
-    views.map(of_view).sum()
+    views.map(of_view).collect()
 }
 
 /// The observations of a fit, with the corners that another one of the same views uses.

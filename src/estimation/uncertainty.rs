@@ -253,7 +253,7 @@ fn map_of(
 ) -> UncertaintyMap {
     let worst_direction = |covariance: &Matrix2<f64>| {
         let variances = [covariance[(0, 0)], covariance[(1, 1)]];
-        greatest_variance(variances, covariance[(0, 1)]).max(0.0).sqrt()
+        greatest_variance(variances, covariance[(0, 1)]).clamp(0.0, f64::INFINITY).sqrt()
     };
     UncertaintyMap {
         grid,

@@ -1,17 +1,14 @@
 //! Wrong corners and wrong views: they change nothing, and are named.
 
 use plumb::calibration::solve::solve_views;
-use plumb::estimation::camera::{CameraEstimate, CameraOptions, calibrate_camera};
+use plumb::estimation::camera::{CameraOptions, calibrate_camera};
 use plumb::estimation::problem::{CameraProblem, LensChoice};
-use plumb::estimation::uncertainty::{
-    Distance, PixelGrid, projection_difference, projection_uncertainty,
-};
 use plumb::estimation::view_fault::{GridLine, ViewFault};
-use plumb::geometry::lens::{Lens, LensModel};
+use plumb::geometry::lens::LensModel;
 use plumb::geometry::pixel::Pixel;
 use rand::RngExt;
 
-use crate::seeded_camera::SeededCamera;
+use crate::seeded_camera::{SeededCamera, worst_projection_in_stds};
 
 const COLS: usize = 9;
 const ROWS: usize = 6;
@@ -26,18 +23,6 @@ fn problem() -> (SeededCamera, CameraProblem) {
     let poses = camera.poses(30, &mut rng);
     let problem = camera.problem(&poses, &mut rng);
     (camera, problem)
-}
-
-/// The largest difference of projections over the image, in predicted standard deviations there.
-fn worst_difference_in_sigmas(truth: &Lens, estimate: &CameraEstimate) -> f64 {
-    let grid = PixelGrid::over(estimate.image_size, 12);
-    let predicted =
-        projection_uncertainty(&estimate.lens, &estimate.lens_covariance, grid, Distance::Infinity)
-            .unwrap();
-    let seen = projection_difference(&estimate.lens, truth, grid, &predicted.weights);
-    let pairs =
-        seen.iter().zip(&predicted.std_px).filter_map(|(seen, std)| Some(((*seen)?, (*std)?)));
-    pairs.map(|([x, y], std)| x.hypot(y) / std).fold(0.0, f64::max)
 }
 
 #[test]
@@ -56,7 +41,7 @@ fn a_tenth_of_the_corners_twenty_pixels_off_change_nothing() {
             }
         }
         let estimate = calibrate_camera(&problem, &options()).unwrap();
-        let sigmas = worst_difference_in_sigmas(&camera.lens, &estimate);
+        let sigmas = worst_projection_in_stds(&camera.lens, &estimate);
         assert!(sigmas < 3.0, "{part} of the corners {offset_px} px off: {sigmas} sigma");
         assert!((estimate.noise - camera.noise_px).abs() < 0.005, "noise {}", estimate.noise);
         let unused =
@@ -108,7 +93,7 @@ fn a_wrong_view_is_named_and_changes_nothing() {
             others.into_iter().all(|(_, view)| view.fault.is_none()),
             "{name}: another view was blamed"
         );
-        let sigmas = worst_difference_in_sigmas(&camera.lens, &solved.estimate);
+        let sigmas = worst_projection_in_stds(&camera.lens, &solved.estimate);
         assert!(sigmas < 3.0, "{name}: {sigmas} sigma");
         if found.is_some() {
             assert!(
@@ -128,7 +113,7 @@ fn a_view_seen_in_one_place_is_named_and_changes_nothing() {
     }
     let estimate = calibrate_camera(&problem, &options()).unwrap();
     assert_eq!(estimate.views[7].fault, Some(ViewFault::PixelsOnLine));
-    assert!(worst_difference_in_sigmas(&camera.lens, &estimate) < 3.0);
+    assert!(worst_projection_in_stds(&camera.lens, &estimate) < 3.0);
 }
 
 #[test]
@@ -139,5 +124,5 @@ fn views_of_no_or_few_corners_are_named_and_change_nothing() {
     let estimate = calibrate_camera(&problem, &options()).unwrap();
     assert_eq!(estimate.views[3].fault, Some(ViewFault::TooFewPoints { points: 0, needed: 6 }));
     assert_eq!(estimate.views[7].fault, Some(ViewFault::TooFewPoints { points: 5, needed: 6 }));
-    assert!(worst_difference_in_sigmas(&camera.lens, &estimate) < 3.0);
+    assert!(worst_projection_in_stds(&camera.lens, &estimate) < 3.0);
 }

@@ -1,19 +1,16 @@
 //! `auto` finds the model that made the images, and none with more parameters than they show.
 
 use nalgebra::Vector3;
-use plumb::estimation::camera::{
-    CameraEstimate, CameraOptions, calibrate_camera, calibrate_with_jackknife,
-};
+use plumb::calibration::solve::solve_views;
+use plumb::estimation::camera::{CameraOptions, calibrate_camera, calibrate_with_jackknife};
+use plumb::estimation::interrupt::Interrupt;
 use plumb::estimation::problem::{CameraProblem, GivenParameter, LensChoice};
-use plumb::estimation::uncertainty::{
-    Distance, PixelGrid, projection_difference, projection_uncertainty,
-};
 use plumb::geometry::lens::{Lens, LensModel};
 use plumb::geometry::pixel::ImageSize;
 use rand_distr::{Distribution, Normal};
 
 use crate::misfit::rolling;
-use crate::seeded_camera::SeededCamera;
+use crate::seeded_camera::{SeededCamera, worst_projection_in_stds};
 
 #[test]
 fn auto_finds_the_true_model() {
@@ -32,19 +29,6 @@ fn auto_finds_the_true_model() {
         assert_eq!(estimate.lens.model(), camera.lens.model(), "{:?}", estimate.compared);
         assert!(estimate.compared.len() >= 3, "{:?}", estimate.compared);
     }
-}
-
-/// The largest error of a projection over the image, in the standard deviations that are predicted
-/// there.
-fn worst_error_in_sigmas(truth: &Lens, estimate: &CameraEstimate) -> f64 {
-    let grid = PixelGrid::over(estimate.image_size, 12);
-    let predicted =
-        projection_uncertainty(&estimate.lens, &estimate.lens_covariance, grid, Distance::Infinity)
-            .unwrap();
-    let seen = projection_difference(&estimate.lens, truth, grid, &predicted.weights);
-    let pairs =
-        seen.iter().zip(&predicted.std_px).filter_map(|(seen, std)| Some(((*seen)?, (*std)?)));
-    pairs.map(|([x, y], std)| x.hypot(y) / std).fold(0.0, f64::max)
 }
 
 #[test]
@@ -77,7 +61,7 @@ fn auto_errs_no_more_than_it_says_and_takes_no_parameter_that_the_lens_lacks() {
             let case = format!("{name}, {views} views, seed {seed}: {:?}", estimate.compared);
             let (found, truth) = (estimate.lens.parameters().len(), camera.lens.parameters().len());
             assert!(found <= truth, "{found} parameters of {truth}: {case}");
-            let sigmas = worst_error_in_sigmas(&camera.lens, &estimate);
+            let sigmas = worst_projection_in_stds(&camera.lens, &estimate);
             assert!(sigmas < 4.0, "{sigmas} sigma: {case}");
         }
     }
@@ -127,7 +111,7 @@ fn neither_an_uneven_board_nor_a_rolling_shutter_makes_auto_take_another_lens() 
         let estimate = calibrate_camera(&problem, &CameraOptions::default()).unwrap();
         let case = format!("{}, {case}: {:?}", camera.lens.model(), estimate.compared);
         assert_eq!(estimate.lens.model(), camera.lens.model(), "{case}");
-        let sigmas = worst_error_in_sigmas(&camera.lens, &estimate);
+        let sigmas = worst_projection_in_stds(&camera.lens, &estimate);
         assert!(sigmas < 4.0, "{sigmas} sigma: {case}");
     }
 }
@@ -156,7 +140,7 @@ fn a_stated_model_that_is_too_simple_is_reported_and_its_error_is_covered() {
                 camera.lens.model(),
                 check.lens_misfit
             );
-            let sigmas = worst_error_in_sigmas(&camera.lens, &estimate);
+            let sigmas = worst_projection_in_stds(&camera.lens, &estimate);
             assert_eq!(check.lens_misfit.is_some(), too_simple, "{case}");
             assert!(sigmas < 5.0, "{sigmas} sigma: {case}");
         }
@@ -233,4 +217,23 @@ fn beside_a_bent_board_a_larger_model_predicts_no_worse_than_one_that_it_holds()
             assert!(rational_px < 1.3 * brown_px, "{seed}: {:?}", estimate.compared);
         }
     }
+}
+
+/// A lens that is given whole is what it is, however far its model is from the lens: nothing of it is
+/// made more uncertain.
+#[test]
+fn a_lens_that_is_given_whole_has_no_deviation() {
+    let size = ImageSize::new(640, 480);
+    let parameters = [560.0, 555.0, 328.0, 235.0, 0.0, -0.1];
+    let camera = SeededCamera::new(LensModel::Radial, size, &parameters);
+    let mut rng = SeededCamera::rng(38);
+    let problem = camera.problem(&camera.poses(15, &mut rng), &mut rng);
+    let straight = Lens::from_parameters(LensModel::Pinhole, &parameters[..5]).unwrap();
+    let options = CameraOptions::holding(&straight, &Interrupt::new());
+    let solved = solve_views(&problem, &options).unwrap();
+    assert!(solved.estimate.lens_covariance.iter().all(|value| *value == 0.0));
+    let reasons = solved.verdict.reasons.join("; ");
+    assert!(reasons.contains("pinhole is too simple for this lens"), "{reasons}");
+    assert!(!reasons.contains("inf") && !reasons.contains("NaN"), "{reasons}");
+    assert!(!reasons.contains("differ too much to be compared"), "{reasons}");
 }

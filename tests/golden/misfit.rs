@@ -200,6 +200,7 @@ fn what_is_stated_of_a_badly_printed_board_reprojects() {
     assert!(shape.unevenness_m > 0.08e-3, "{} m", shape.unevenness_m);
     for (view, found) in problem.views.iter().zip(&estimate.views) {
         let pose = found.camera_from_board.unwrap();
+        assert_eq!(found.residuals_px.len(), view.correspondences.len());
         for (corner, residual) in view.correspondences.iter().zip(&found.residuals_px) {
             let stated = corner.point_in_board;
             let place = shape.points.iter().position(|p| (p - stated).norm() < 1e-9).unwrap();
@@ -226,6 +227,7 @@ fn what_is_stated_of_a_moving_board_reprojects() {
         *(if shutter.agreement < 1.0 { &mut in_part } else { &mut whole }) += 1;
         for (view, found) in problem.views.iter().zip(&estimate.views) {
             let (pose, motion) = (found.camera_from_board.unwrap(), found.motion.unwrap());
+            assert_eq!(found.residuals_px.len(), view.correspondences.len());
             for (corner, residual) in view.correspondences.iter().zip(&found.residuals_px) {
                 let time = read_out_time(corner.pixel.y, f64::from(camera.size.height));
                 let offset = |shape: &MeasuredBoard| shape.offset_at(&corner.point_in_board);

@@ -92,9 +92,12 @@ fn a_bad_view_on_the_way_is_rejected_as_in_a_solve_from_nothing() {
     for (corner, pixel) in problem.views[20].correspondences.iter_mut().zip(pixels.iter().rev()) {
         corner.pixel.x = pixel.x;
     }
-    let [lens, uncertainty] =
-        furthest_from_anew(&walk(&problem, LensChoice::Model(LensModel::Brown)));
+    let walk = walk(&problem, LensChoice::Model(LensModel::Brown));
+    let [lens, uncertainty] = furthest_from_anew(&walk);
     assert!(lens < 0.02 && uncertainty < 1e-3, "{lens} std, {uncertainty}");
+    assert!(walk.iter().skip(2).all(|(_, estimate)| estimate.is_some()), "five views are enough");
+    let last = walk.last().and_then(|(_, estimate)| estimate.as_ref()).unwrap();
+    assert_eq!(last.running.views, 28, "two of 30 are wrong");
 }
 
 #[test]

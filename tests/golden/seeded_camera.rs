@@ -2,7 +2,11 @@
 //! it, plus known noise.
 
 use nalgebra::{Point3, UnitQuaternion, Vector3};
+use plumb::estimation::camera::CameraEstimate;
 use plumb::estimation::problem::{BoardView, CameraProblem, Correspondence};
+use plumb::estimation::uncertainty::{
+    Distance, PixelGrid, projection_difference, projection_uncertainty,
+};
 use plumb::geometry::board::{BoardSize, Chessboard};
 use plumb::geometry::lens::{Lens, LensModel};
 use plumb::geometry::pixel::{ImageSize, Pixel};
@@ -121,4 +125,29 @@ impl SeededCamera {
         });
         CameraProblem { image_size: self.size, views: views.collect() }
     }
+}
+
+/// The largest of some numbers; NaN if one of them is.
+pub fn largest(numbers: impl IntoIterator<Item = f64>) -> f64 {
+    numbers.into_iter().fold(0.0, |most, number| if number <= most { most } else { number })
+}
+
+/// The largest difference of an estimate's projections over the image from the truth, in the
+/// standard deviations that are predicted there.
+pub fn worst_projection_in_stds(truth: &Lens, estimate: &CameraEstimate) -> f64 {
+    let grid = PixelGrid::over(estimate.image_size, 12);
+    let predicted =
+        projection_uncertainty(&estimate.lens, &estimate.lens_covariance, grid, Distance::Infinity)
+            .unwrap();
+    let seen = projection_difference(&estimate.lens, truth, grid, &predicted.weights);
+    let all = seen.len();
+    let in_stds: Vec<f64> = seen
+        .iter()
+        .zip(&predicted.std_px)
+        .filter_map(|(seen, std)| Some(((*seen)?, (*std)?)))
+        .map(|([x, y], std)| x.hypot(y) / std)
+        .collect();
+    // A fisheye sees nothing in the corners of the image.
+    assert!(2 * in_stds.len() > all, "{} of {all} pixels are seen", in_stds.len());
+    largest(in_stds)
 }

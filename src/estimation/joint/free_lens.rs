@@ -72,6 +72,12 @@ impl FreeLens {
         Ok((Self { model, free, square_pixels }, Given(given)))
     }
 
+    /// Whether a parameter of the lens is estimated, alone or with another.
+    pub(crate) fn moves(&self, index: usize) -> bool {
+        let counted = if self.square_pixels && index == Lens::FY { Lens::FX } else { index };
+        self.free.contains(&counted)
+    }
+
     /// The derivative of all parameters of the lens by the free ones: parameters × free.
     pub(crate) fn all_by_free(&self, lens: &Lens) -> DMatrix<f64> {
         let mut by_free = DMatrix::zeros(lens.parameters().len(), self.free.len());

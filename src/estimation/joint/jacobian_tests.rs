@@ -42,14 +42,23 @@ fn pose(rotation: [f64; 3], translation: [f64; 3]) -> Pose {
 }
 
 /// Two sensors with different lenses, the second with a pose of its own, two frame sets, a warp.
-fn world() -> (Layout, State, Vec<BoardObservation>) {
+/// With `square_pixels` fx and fy of each are one parameter.
+fn world(square_pixels: bool) -> (Layout, State, Vec<BoardObservation>) {
     let models = [LensModel::Brown, LensModel::KannalaBrandt];
+    let all = |model| 0..Lens::parameter_names(model).len();
     let free = |model: LensModel| FreeLens {
         model,
-        free: (0..Lens::parameter_names(model).len()).collect(),
-        square_pixels: false,
+        free: all(model).filter(|index| !square_pixels || *index != Lens::FY).collect(),
+        square_pixels,
     };
     let layout = Layout::new(models.map(free).to_vec(), Some(BOARD_HALF_EXTENT));
+    let lens = |model: LensModel| {
+        let mut lens = lens(model);
+        if square_pixels {
+            lens.matrix.fy = lens.matrix.fx;
+        }
+        lens
+    };
     let state = State {
         lenses: models.map(lens).to_vec(),
         sensor_from_rig: vec![Pose::identity(), pose([0.02, -0.05, 0.01], [-0.06, 0.01, 0.005])],
@@ -148,25 +157,28 @@ fn assert_equations(
 
 #[test]
 fn corners_have_the_derivatives_of_their_residuals() {
-    let (layout, state, observations) = world();
-    let residuals = |step: &[f64]| -> Vec<f64> {
-        let state = stepped(&layout, &state, step);
-        let each =
-            observations.iter().flat_map(|observation| state.residuals(&layout, observation));
-        each.flatten().collect()
-    };
-    let count = layout.len + 6 * state.rig_from_board.len();
-    let jacobian = numeric_jacobian(count, |k| unit_of(&layout, k), residuals);
-    let equations =
-        linearize(&layout, &state, &observations, Loss::Squares).expect("all are projected");
-    let residuals = residuals(&vec![0.0; count]);
-    assert_equations(&equations, &jacobian, &residuals, TOLERANCE);
+    for square_pixels in [false, true] {
+        let (layout, state, observations) = world(square_pixels);
+        let residuals = |step: &[f64]| -> Vec<f64> {
+            let state = stepped(&layout, &state, step);
+            let each =
+                observations.iter().flat_map(|observation| state.residuals(&layout, observation));
+            each.flatten().collect()
+        };
+        let count = layout.len + 6 * state.rig_from_board.len();
+        let jacobian = numeric_jacobian(count, |k| unit_of(&layout, k), residuals);
+        let equations =
+            linearize(&layout, &state, &observations, Loss::Squares).expect("all are projected");
+        let residuals = residuals(&vec![0.0; count]);
+        assert_equations(&equations, &jacobian, &residuals, TOLERANCE);
+    }
 }
 
 #[test]
 fn planes_have_the_derivatives_of_their_residuals() {
-    for quantity in [CorrectedQuantity::InverseDepth, CorrectedQuantity::Depth] {
-        let (layout, state, _) = world();
+    let quantities = [CorrectedQuantity::InverseDepth, CorrectedQuantity::Depth];
+    for (quantity, square_pixels) in quantities.into_iter().zip([false, true]) {
+        let (layout, state, _) = world(square_pixels);
         let size = ImageSize::new(640, 480);
         let mut correction =
             DepthCorrection::none(quantity, 2, SplineGrid::constant(size), [0.4, 2.0]);
