@@ -147,9 +147,32 @@ impl Joint {
                 ),
             )
         });
-        misfitting.chain(open).chain(differing).collect()
+        let contradicted = (0..group.len()).filter_map(|member| self.contradicted(member, group));
+        misfitting.chain(open).chain(differing).chain(contradicted).collect()
+    }
+
+    /// That a good part of a camera's views, which it explains by itself, are not where the others
+    /// have the board: outliers that come together are no outliers.
+    fn contradicted(&self, member: usize, group: &[&Alone<'_>]) -> Option<Finding> {
+        let alone = &group[member].solved.sensor.views;
+        let used = alone.iter().filter(|view| view.used).count();
+        let pairs = alone.iter().zip(&self.sensors[member].views);
+        let lost: Vec<_> = pairs.filter(|(alone, joint)| alone.used && !joint.used).collect();
+        if (lost.len() as f64) < CONTRADICTED * used as f64 {
+            return None;
+        }
+        let (camera, first) = (&group[member].input.name, &lost.first()?.0.name);
+        let reason = format!(
+            "{} of {used} views of camera `{camera}`, the first of them `{first}`, contradict where the others have the board: a camera was moved, or its frames are of other moments; use what was taken while all were fixed",
+            lost.len()
+        );
+        Some(Finding { grade: Grade::Poor, reason })
     }
 }
+
+/// The part of a camera's views above which views that contradict the others are no outliers: few
+/// boards move in so many. Chosen, not swept.
+const CONTRADICTED: f64 = 0.25;
 
 /// The board as cameras that labeled it alike in all their views measured it, its points where
 /// `labels` say that they are; `None` where none did.

@@ -125,8 +125,8 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
         if group.len() < 2 {
             continue;
         }
+        let (group, joint) = jointly(input, (&alone, group), options, &mut findings)?;
         let members: Vec<&Alone<'_>> = group.iter().map(|index| &alone[*index]).collect();
-        let joint = Joint::solve(input, &members, options).map_err(RigError::Joint)?;
         findings.extend(joint.findings(&members));
         let ratios = joint.halves.iter().filter_map(|halves| Some(halves.pose?.ratio));
         worst_pose_ratio = ratios.chain(worst_pose_ratio).reduce(f64::max);
@@ -142,6 +142,38 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
     let sensors = alone.iter().zip(sensors).map(|(one, sensor)| (one.input.id.clone(), sensor));
     let checks = checks(&alone, worst_pose_ratio);
     Ok(SolvedRig { sensors: sensors.collect(), extrinsics, checks, verdict })
+}
+
+/// Solves those of a group together that agree with each other, which are named with it; `findings`
+/// name the others.
+fn jointly(
+    input: &RigInput,
+    (alone, group): (&[Alone<'_>], &[usize]),
+    options: &CameraOptions,
+    findings: &mut Vec<Finding>,
+) -> Result<(Vec<usize>, Joint), RigError> {
+    let mut group = group.to_vec();
+    loop {
+        let members: Vec<&Alone<'_>> = group.iter().map(|index| &alone[*index]).collect();
+        let error = match Joint::solve(input, &members, options) {
+            Ok(joint) => return Ok((group, joint)),
+            Err(error) => error,
+        };
+        let named = match &error {
+            EstimationError::NothingAgrees { sensor } => {
+                members.iter().position(|one| one.input.name == *sensor)
+            }
+            _ => None,
+        };
+        let Some(at) = named.filter(|_| group.len() > 2) else {
+            return Err(RigError::Joint(error));
+        };
+        let name = &alone[group.remove(at)].input.name;
+        findings.push(Finding {
+            grade: Grade::Poor,
+            reason: format!("where camera `{name}` is stays open: {error}"),
+        });
+    }
 }
 
 /// Whether a group has another camera than its first, or another sensor of the only one.

@@ -156,6 +156,24 @@ fn a_camera_that_shares_nothing_costs_the_others_nothing() {
     assert_eq!(nothing, RigError::NothingShared);
 }
 
+#[test]
+fn a_camera_whose_frames_are_of_other_moments_costs_the_others_nothing() {
+    let board = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.025).unwrap();
+    let mut input = input(board, |_, _| true);
+    let frame_sets: Vec<usize> = input.sensors[2].views.iter().map(|seen| seen.frame_set).collect();
+    let count = frame_sets.len();
+    for (k, seen) in input.sensors[2].views.iter_mut().enumerate() {
+        // No two neighbors stay neighbors.
+        seen.frame_set = frame_sets[(k * 11 + 5) % count];
+    }
+    let solved = solve_rig(&input, &options()).unwrap();
+    assert_eq!(solved.extrinsics.len(), 1);
+    within_prediction(&solved.extrinsics[0], &camera_from_first()[1].inverse());
+    assert_eq!((solved.sensors.len(), solved.verdict.grade), (3, Grade::Poor));
+    let reason = solved.verdict.reasons.iter().find(|reason| reason.contains("`far`")).unwrap();
+    assert!(reason.contains("in no frame set: give it the frames"), "{reason}");
+}
+
 /// Without noise of its own, as a recording of a still image: the left camera sees to the bit what it
 /// saw before, but only then the right one sees the board too.
 #[test]

@@ -138,6 +138,14 @@ pub enum EstimationError {
         /// The sensor's name.
         sensor: String,
     },
+    /// A sensor of a rig whose every view contradicts the others.
+    #[error(
+        "sensor `{sensor}` has the board where the others have it in no frame set: give it the frames that were taken when theirs were, of a rig whose sensors are fixed to each other"
+    )]
+    NothingAgrees {
+        /// The sensor's name.
+        sensor: String,
+    },
     /// The direct linear transform takes one view.
     #[error(
         "{views} views were given to the direct linear transform: give one, or leave out the method"

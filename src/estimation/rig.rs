@@ -11,6 +11,7 @@ use crate::estimation::consistent_labels::FrameSetPose;
 use crate::estimation::error::EstimationError;
 use crate::estimation::joint::{BoardObservation, Layout, State};
 use crate::estimation::lens_choice::choose_lens;
+use crate::estimation::other_minimum::closer_of_two_minima;
 use crate::estimation::problem::{BoardView, CameraOptions, CameraProblem, LensChoice, check};
 use crate::estimation::robust_fit::robust_fit;
 use crate::estimation::shape_widening::widening;
@@ -100,25 +101,30 @@ pub struct SensorPose {
 ///
 /// # Errors
 /// As [`crate::estimation::camera::calibrate_camera`] for each sensor; a sensor that shares no
-/// frame set with the others.
+/// frame set with the others, or agrees with them in none.
 pub fn calibrate_rig(problem: &RigProblem) -> Result<RigEstimate, EstimationError> {
     let cameras: Vec<CameraProblem> =
         problem.sensors.iter().map(RigSensor::to_camera_problem).collect();
     cameras.iter().try_for_each(check)?;
     let center = mean_point(&cameras);
-    let mut alone = Vec::new();
+    let (mut alone, mut other_minima) = (Vec::new(), Vec::new());
     for (sensor, camera) in problem.sensors.iter().zip(&cameras) {
         let mut prepared = Prepared::about(camera, center);
         if let Some(board) = &sensor.options.measured_board {
             prepared.place_on(board)?;
         }
-        let fit = match sensor.options.lens {
-            LensChoice::Model(model) => fit_camera(&mut prepared, model, &sensor.options)?,
-            LensChoice::Auto => choose_lens(&mut prepared, &sensor.options)?.plain,
+        let (fit, other) = match sensor.options.lens {
+            LensChoice::Model(model) => {
+                let fit = fit_camera(&mut prepared, model, &sensor.options)?;
+                closer_of_two_minima(fit, &prepared)
+            }
+            LensChoice::Auto => (choose_lens(&mut prepared, &sensor.options)?.plain, None),
         };
         alone.push((prepared, fit));
+        other_minima.push(other);
     }
     let fit = fit_jointly(problem, &alone)?;
+    agree(problem, &fit)?;
     let known = FitCovariance::of(&fit).ok_or(EstimationError::NoFit)?;
     let by_shape = shape_widening_of(problem, &alone);
     let (mut estimates, mut sensor_poses, mut first_observation) = (Vec::new(), Vec::new(), 0);
@@ -128,6 +134,7 @@ pub fn calibrate_rig(problem: &RigProblem) -> Result<RigEstimate, EstimationErro
         let estimate = assemble(camera, prepared, &fit, Some(&known), part)?;
         estimates.push(CameraEstimate {
             lens_covariance: &estimate.lens_covariance * by_shape,
+            other_minimum: other_minima[sensor],
             ..estimate
         });
         let (covariance, variance_inflation) = match fit.layout.sensors[sensor].pose_at {
@@ -144,6 +151,22 @@ pub fn calibrate_rig(problem: &RigProblem) -> Result<RigEstimate, EstimationErro
     }
     let halves = compare_halves(&fit, &estimates, &sensor_poses);
     Ok(RigEstimate { cameras: estimates, sensor_poses, halves })
+}
+
+/// That every sensor has a view that the others do not contradict: without, nothing holds its lens
+/// and its place, and no step of the others is possible. The first sensor, which the others are
+/// placed by, is named last.
+fn agree(problem: &RigProblem, fit: &CameraFit) -> Result<(), EstimationError> {
+    let has_view = |sensor: usize| {
+        let mut own = fit.observations.iter().zip(&fit.faults);
+        own.any(|(observation, fault)| observation.sensor == sensor && fault.is_none())
+    };
+    match (0..problem.sensors.len()).rev().find(|sensor| !has_view(*sensor)) {
+        Some(sensor) => {
+            Err(EstimationError::NothingAgrees { sensor: problem.sensors[sensor].name.clone() })
+        }
+        None => Ok(()),
+    }
 }
 
 /// Empty for exact corners, of which halves agree to rounding.
