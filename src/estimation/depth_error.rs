@@ -1,8 +1,8 @@
 //! Which correction a depth camera needs: polynomials over grids from none to fine, compared on
 //! views that were not fitted to.
 //!
-//! With the board's planes given, every correction is linear in its coefficients: one set of normal
-//! equations a fold, from which any four of five folds are fitted.
+//! With the board's planes given, the quantity that is corrected is linear in the coefficients: one
+//! set of normal equations a fold, from which any four of five folds are fitted.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -222,13 +222,32 @@ struct Fold {
     right: DVector<f64>,
 }
 
-/// One view's residual without correction, and by the coefficients.
+/// A tile's residual without correction, and by the coefficients: of what is corrected, in standard
+/// deviations, with the sign of 1/z.
 fn rows(correction: &DepthCorrection, judged: &JudgedTile, columns: &mut Vec<(usize, f64)>) -> f64 {
     columns.clear();
     correction_columns(correction, &judged.tile, |index, value| {
         columns.push((index, value * judged.inverse_std));
     });
-    (judged.tile.inverse_depth - judged.plane) * judged.inverse_std
+    let measured = judged.tile.inverse_depth;
+    let off = match correction.quantity {
+        CorrectedQuantity::InverseDepth => measured - judged.plane,
+        CorrectedQuantity::Depth => measured * measured * (1.0 / judged.plane - 1.0 / measured),
+    };
+    off * judged.inverse_std
+}
+
+/// Corrected 1/z minus the plane's, in 1/m, where what is corrected is `off` by so many standard
+/// deviations ([`rows`]).
+fn off_plane(quantity: CorrectedQuantity, judged: &JudgedTile, off: f64) -> f64 {
+    let off = off / judged.inverse_std;
+    match quantity {
+        CorrectedQuantity::InverseDepth => off,
+        CorrectedQuantity::Depth => {
+            let corrected_m = 1.0 / judged.plane - off / judged.tile.inverse_depth.powi(2);
+            1.0 / corrected_m - judged.plane
+        }
+    }
 }
 
 fn held_out(
@@ -314,10 +333,51 @@ fn residuals_of(
         let coefficients = &fits[fold];
         let residual = |judged: &JudgedTile| {
             let before = rows(form, judged, &mut columns);
-            (before + columns.iter().map(|(i, d)| d * coefficients[*i]).sum::<f64>())
-                / judged.inverse_std
+            let off = before + columns.iter().map(|(i, d)| d * coefficients[*i]).sum::<f64>();
+            off_plane(form.quantity, judged, off)
         };
         view.iter().map(residual).collect()
     });
     Some(each.collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::pixel::Pixel;
+
+    /// Ten views of planes from 0.4 to 3 m, all of them read as 5 cm farther.
+    fn too_far() -> Vec<Vec<JudgedTile>> {
+        let tile = |view: u32, k: u32| {
+            let z = 0.4 + 0.26 * f64::from(view) + 0.01 * f64::from(k);
+            let pixel = Pixel::new(f64::from(20 * k), 100.0);
+            JudgedTile {
+                tile: DepthTile {
+                    pixel,
+                    inverse_depth: 1.0 / (z + 0.05),
+                    reading_std: 0.001,
+                    count: 100,
+                },
+                plane: 1.0 / z,
+                inverse_std: z * z / 0.001,
+            }
+        };
+        (0..10).map(|view| (0..20).map(|k| tile(view, k)).collect()).collect()
+    }
+
+    #[test]
+    fn an_offset_of_depth_is_corrected_whole() {
+        let grid = SplineGrid { size: ImageSize::new(640, 480), cols: 0, rows: 0 };
+        let views = too_far();
+        let form = DepthCorrection::none(CorrectedQuantity::Depth, 1, grid, seen(&views));
+        let left = held_out_residuals(&views, &form, SMOOTH[0]).unwrap();
+        let left_m = |(judged, residual): (&JudgedTile, &f64)| residual / judged.plane.powi(2);
+        let worst_m = views
+            .iter()
+            .flatten()
+            .zip(left.iter().flatten())
+            .map(left_m)
+            .fold(0.0, |worst: f64, m| worst.max(m.abs()));
+        assert!(left.iter().map(Vec::len).sum::<usize>() == 200 && worst_m < 1e-5, "{worst_m}");
+    }
 }

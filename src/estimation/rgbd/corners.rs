@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use nalgebra::{DMatrix, Matrix6, Vector3, Vector6};
+use nalgebra::{DMatrix, Vector3, Vector6};
 
 use crate::estimation::clustered_covariance::FitCovariance;
 use crate::estimation::joint::linearize::{
@@ -13,7 +13,9 @@ use crate::estimation::joint::normal::{ChainedPose, NormalEquations, ReducedView
 use crate::estimation::joint::{BoardObservation, FreeLens, Layout, State, moved};
 use crate::estimation::rgbd::covariance_with_shape::covariance_with_shape;
 use crate::estimation::rgbd::motion::{BoardMotion, TimeOffset};
-use crate::estimation::rgbd::pose_jitter::{PoseDifference, PoseJitter, eliminate, pose_part};
+use crate::estimation::rgbd::pose_jitter::{
+    PoseByColor, PoseDifference, PoseJitter, eliminate, pose_part,
+};
 use crate::estimation::rgbd::problem::{DepthLens, RgbdProblem, RgbdView, free, with_origin_at};
 use crate::estimation::robust::Loss;
 use crate::geometry::median::median;
@@ -267,6 +269,9 @@ impl CornerProblem {
         whole: &CornerState,
         observations: impl Iterator<Item = &'a BoardObservation>,
     ) -> Option<NormalEquations> {
+        if self.layout.interrupt.is_requested() {
+            return None;
+        }
         let later = self.later(whole);
         let mut equations = NormalEquations::empty(self.layout.len, whole.rig.rig_from_board.len());
         let (mut columns, mut local) = (Columns::default(), LocalEquations::default());
@@ -352,7 +357,7 @@ impl CornerProblem {
     fn differences(&self, whole: &CornerState) -> Vec<Option<PoseDifference>> {
         let later = self.later(whole);
         let (mut columns, mut local) = (Columns::default(), LocalEquations::default());
-        let mut by_color: Vec<Option<Matrix6<f64>>> = vec![None; self.motions.len()];
+        let mut by_color: Vec<Option<PoseByColor>> = vec![None; self.motions.len()];
         let mut found = Vec::with_capacity(self.observations.len());
         for observation in &self.observations {
             let state = if observation.sensor == 0 { &whole.rig } else { &later };
@@ -370,10 +375,13 @@ impl CornerProblem {
             if observation.sensor == 0 {
                 let ChainedPose { by_board, .. } =
                     ChainedPose::of(&self.layout, &later, 1, observation.frame_set);
-                let inverse =
-                    part.and_then(|(square, _)| square.cholesky()).map(|factor| factor.inverse());
-                by_color[observation.frame_set] =
-                    inverse.map(|inverse| by_board * inverse * by_board.transpose());
+                by_color[observation.frame_set] = part.and_then(|(square, gradient)| {
+                    let inverse = square.cholesky()?.inverse();
+                    Some(PoseByColor {
+                        step: -(by_board * (inverse * gradient)),
+                        covariance: by_board * inverse * by_board.transpose(),
+                    })
+                });
                 found.push(None);
             } else {
                 let both = part.zip(by_color[observation.frame_set]);

@@ -192,8 +192,11 @@ impl<'a> Planes<'a> {
             let planes: Vec<PlaneObservation> =
                 self.planes.iter().map(|plane| scaled(plane, tile_noise)).collect();
             let anchors = self.anchors.as_deref();
-            let linearized =
-                |whole: &PlaneState| linearized(&layout, (whole, &prior), at, (&planes, anchors));
+            let interrupt = &self.problem.interrupt;
+            let linearized = |whole: &PlaneState| {
+                let goes_on = !interrupt.is_requested();
+                goes_on.then(|| linearized(&layout, (whole, &prior), at, (&planes, anchors)))?
+            };
             let stepped = |whole: &PlaneState, step: &Step| {
                 let rig = whole.rig.stepped(&layout, &step.global, &step.frame_sets)?;
                 let mut correction = whole.correction.clone();

@@ -42,7 +42,7 @@ impl PoseJitter {
         let middle = |from: usize| {
             let squares = differences
                 .iter()
-                .map(|one| one.by_infrared.fixed_rows::<3>(from).norm_squared())
+                .map(|one| one.difference.fixed_rows::<3>(from).norm_squared())
                 .collect();
             (median(squares).unwrap_or(0.0) / MEDIAN_OF_THREE).max(NONE)
         };
@@ -106,39 +106,51 @@ impl PoseJitter {
     }
 }
 
-/// The difference of color's and infrared's board pose in one view.
+/// What color's corners alone say of a board's pose, in the infrared camera's frame.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct PoseByColor {
+    /// The step to it from the pose of the state.
+    pub(super) step: Vector6<f64>,
+    pub(super) covariance: Matrix6<f64>,
+}
+
+/// The difference of color's and infrared's board pose in one view, in the infrared camera's frame.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PoseDifference {
-    /// By infrared's corners alone, in the infrared camera's frame.
+    /// The step from the pose of the state to that by infrared's corners alone.
     pub(super) by_infrared: Vector6<f64>,
-    /// Its posterior mean under the pose jitter's variances.
+    /// The pose by infrared's corners alone from that by color's alone. The state's pose is between
+    /// them where the view's infrared image is in use.
+    difference: Vector6<f64>,
+    /// The posterior mean of the difference under the pose jitter's variances.
     pub(super) pose_jitter: Vector6<f64>,
     pub(super) prior: Vector6<f64>,
     pub(super) posterior: Matrix6<f64>,
-    /// Its covariance by corners alone.
+    /// The covariance of `difference` by corners alone.
     measured: Matrix6<f64>,
-    /// How unlikely: a χ² with six degrees of freedom.
+    /// How unlikely `difference` is: a χ² with six degrees of freedom.
     pub(super) surprise: f64,
 }
 
 impl PoseDifference {
-    /// From infrared's equations (its pose's square and gradient), what color says of the pose in
-    /// infrared's frame, and the pose jitter's variances.
+    /// From infrared's equations (its pose's square and gradient), what color says of the pose, and
+    /// the pose jitter's variances.
     pub(super) fn of(
         square: &Matrix6<f64>,
         gradient: &Vector6<f64>,
-        by_color: &Matrix6<f64>,
+        by_color: &PoseByColor,
         prior: Vector6<f64>,
     ) -> Option<Self> {
         let own = square.cholesky()?;
         let by_infrared = -own.solve(gradient);
         let precision = Matrix6::from_diagonal(&prior.map(|variance| 1.0 / variance));
         let pose_jitter = -(square + precision).cholesky()?.solve(gradient);
-        let measured = own.inverse() + by_color;
+        let difference = by_infrared - by_color.step;
+        let measured = own.inverse() + by_color.covariance;
         let posterior = (precision + measured.cholesky()?.inverse()).cholesky()?.inverse();
         let covariance = measured + Matrix6::from_diagonal(&prior);
-        let surprise = by_infrared.dot(&covariance.cholesky()?.solve(&by_infrared));
-        Some(Self { by_infrared, pose_jitter, prior, posterior, measured, surprise })
+        let surprise = difference.dot(&covariance.cholesky()?.solve(&difference));
+        Some(Self { by_infrared, difference, pose_jitter, prior, posterior, measured, surprise })
     }
 
     /// The logarithm of how likely it is, up to a constant, with these variances added to
@@ -151,7 +163,7 @@ impl PoseDifference {
             return f64::NEG_INFINITY;
         };
         let logarithm: f64 = factor.l_dirty().diagonal().iter().map(|pivot| pivot.ln()).sum();
-        -logarithm - 0.5 * self.by_infrared.dot(&factor.solve(&self.by_infrared))
+        -logarithm - 0.5 * self.difference.dot(&factor.solve(&self.difference))
     }
 }
 
@@ -178,4 +190,38 @@ pub(super) fn pose_part(local: &LocalEquations) -> (Matrix6<f64>, Vector6<f64>) 
     let (residual, pose) = (local.columns - 1, local.columns - 7);
     let square = Matrix6::from_fn(|a, b| local.product(pose + a, pose + b));
     (square, Vector6::from_fn(|a, _| local.product(pose + a, residual)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The pose that color and infrared give together is between those by each alone: what they are
+    /// difference does not depend on it.
+    #[test]
+    fn a_difference_is_that_of_both_poses_alone() {
+        let by_color = Vector6::new(0.0, 1.0, -2.0, 0.5, 0.0, 3.0);
+        let alone = Vector6::new(1.0, -1.0, 0.5, 2.0, -4.0, 1.0);
+        let square = Matrix6::from_fn(|i, j| if i == j { 4.0 + i as f64 } else { 0.5 });
+        let covariance = Matrix6::from_fn(|i, j| if i == j { 0.3 } else { 0.02 });
+        let prior = Vector6::from_fn(|i, _| 0.1 + 0.1 * i as f64);
+        let of_infrared = square.try_inverse().unwrap() + Matrix6::from_diagonal(&prior);
+        let weights = [covariance, of_infrared].map(|of| of.try_inverse().unwrap());
+        let together = (weights[0] + weights[1]).try_inverse().unwrap()
+            * (weights[0] * by_color + weights[1] * alone);
+        let of = |pose: Vector6<f64>| {
+            let gradient = square * (pose - alone);
+            let by_color = PoseByColor { step: by_color - pose, covariance };
+            PoseDifference::of(&square, &gradient, &by_color, prior).unwrap()
+        };
+        let difference = alone - by_color;
+        for pose in [together, by_color] {
+            assert!((of(pose).difference - difference).norm() < 1e-9);
+        }
+        let (joint, measured) = (of(together), square.try_inverse().unwrap() + covariance);
+        let expected = Matrix6::from_diagonal(&prior)
+            * (measured + Matrix6::from_diagonal(&prior)).try_inverse().unwrap()
+            * difference;
+        assert!((joint.pose_jitter - expected).norm() < 1e-9, "{}", joint.pose_jitter);
+    }
 }
