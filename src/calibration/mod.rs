@@ -41,6 +41,7 @@ pub mod solve_rgbd;
 pub mod solve_rig;
 pub mod stated_calibration;
 pub mod stereo_pair;
+mod tag_spacing;
 pub mod target;
 pub(crate) mod verdict;
 pub mod view;

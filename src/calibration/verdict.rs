@@ -4,12 +4,15 @@ use crate::calibration::coverage::Coverage;
 use crate::calibration::known_image::KnownImage;
 use crate::calibration::result::{Finding, Grade, Verdict};
 use crate::calibration::rounded::value_with_std;
+use crate::calibration::tag_spacing::TagSpacing;
 use crate::estimation::camera::CameraEstimate;
 use crate::estimation::known_together::known_only_together;
 use crate::estimation::lens_misfit::LensMisfit;
 use crate::estimation::lens_pole::has_pole;
 use crate::estimation::model_check::ModelCheck;
+use crate::estimation::other_minimum::OtherMinimum;
 use crate::estimation::uncertainty::UncertaintyMap;
+use crate::geometry::lens::Lens;
 
 /// The split-half ratio of a good calibration and of a usable one: about 1 where the model is
 /// right, and above 2 once in a hundred such sets.
@@ -48,6 +51,7 @@ pub(crate) fn judge(
     findings.extend(canceling_coefficients(estimate, uncertainty));
     let factor = if findings.is_empty() { 1.0 } else { estimate.variance_inflation.sqrt() };
     findings.extend(self::uncertainty(uncertainty, factor));
+    findings.extend(other_spacing(estimate));
     findings.extend(rejected_views(estimate));
     findings.extend(rejected_corners(estimate));
     findings.extend(missing_area(coverage));
@@ -145,7 +149,7 @@ fn halves(estimate: &CameraEstimate, check: &ModelCheck) -> Option<Finding> {
     let enough =
         estimate.views.iter().filter(|view| view.fault.is_none()).count() >= ModelCheck::MIN_VIEWS;
     // Of a lens that is given whole, halves have nothing to differ in.
-    let is_estimated = estimate.lens_covariance.iter().any(|value| *value != 0.0);
+    let is_estimated = estimate.lens_covariance.diagonal().iter().any(|value| *value > 0.0);
     let Some(ratio) = check.split_half_ratio else {
         return (enough && is_estimated).then(|| Finding {
             grade: Grade::Poor,
@@ -220,6 +224,17 @@ fn bent_board(check: &ModelCheck) -> Option<Finding> {
     Some(Finding { grade: Grade::Usable, reason })
 }
 
+fn other_spacing(estimate: &CameraEstimate) -> Option<Finding> {
+    let TagSpacing { stated, measured, std } =
+        TagSpacing::off_stated(estimate.board_shape.as_ref()?)?;
+    let percent = 100.0 * ((1.0 + stated) / (1.0 + measured) - 1.0).abs();
+    let measured = value_with_std(measured, std);
+    let reason = format!(
+        "the gaps between tags are {measured} of a tag, not {stated:.3} as stated: correct the target's `spacing`; distances are off by {percent:.1} % with it"
+    );
+    Some(Finding { grade: Grade::Usable, reason })
+}
+
 /// What is not as stated but was measured along, which takes nothing from the grade.
 fn accounted_for(estimate: &CameraEstimate, shutter_in_model: bool) -> Vec<Finding> {
     let board = estimate.board_shape.as_ref().map(|shape| {
@@ -253,6 +268,14 @@ fn accounted_for(estimate: &CameraEstimate, shutter_in_model: bool) -> Vec<Findi
 /// projections.
 fn known_together(estimate: &CameraEstimate) -> Option<Finding> {
     let lens = &estimate.lens;
+    if let Some(OtherMinimum { lens: other, .. }) = &estimate.other_minimum {
+        let [own, other] = [lens, other].map(numbers_of);
+        let reason = format!(
+            "two lenses of the {} model fit these views alike, {own} and {other}: use all numbers of one lens, or none; projections are as certain as stated",
+            lens.model()
+        );
+        return Some(Finding { grade: Grade::Good, reason });
+    }
     let names = known_only_together(lens, &estimate.lens_std(), estimate.image_size);
     let reason = format!(
         "{} of the {} lens are known only together, not one by one: use all of them, or none; projections are as certain as stated",
@@ -260,6 +283,14 @@ fn known_together(estimate: &CameraEstimate) -> Option<Finding> {
         lens.model()
     );
     (!names.is_empty()).then_some(Finding { grade: Grade::Good, reason })
+}
+
+/// The focal length and the coefficients of a lens.
+fn numbers_of(lens: &Lens) -> String {
+    let coefficients = lens.distortion.coefficients();
+    let named = lens.model().coefficient_names().iter().zip(coefficients);
+    let coefficients: String = named.map(|(name, value)| format!(", {name} {value:.3}")).collect();
+    format!("(fx {:.1}{coefficients})", lens.matrix.fx)
 }
 
 fn rejected_views(estimate: &CameraEstimate) -> Option<Finding> {
