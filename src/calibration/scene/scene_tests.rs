@@ -161,7 +161,7 @@ fn more_coefficients_than_needed_do_no_harm() {
 #[test]
 fn forward_motion_is_seen_as_such() {
     let (problem, pairs) = scene(1, Motion::Forward);
-    let Some(start) = reconstruct_best(&problem, &pairs, None) else { return };
+    let start = reconstruct_best(&problem, &pairs, None).unwrap();
     let found = fit_lens(&start, LensChoice::Model(LensModel::Radial), &[]).unwrap();
     let conditions = SceneConditions::of(&found.fit.bundle, &found.fit.state);
     assert!(conditions.sideways_deg < 20.0 && conditions.rolled_deg < 45.0, "{conditions:?}");

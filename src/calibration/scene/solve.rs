@@ -399,10 +399,16 @@ fn scene_points(start: &Reconstruction, fit: &LensFit, frame: &SceneFrame) -> Ve
     let squares = bundle.squares(state);
     let all = state.points.iter().zip(&bundle.observations).zip(&squares);
     all.map(|((point, seen), squares)| {
-        let px2 = seen.iter().zip(squares).map(|(seen, square)| square / seen.inverse_std.powi(2));
+        // What the lens does not see has no error.
+        let px2: Vec<f64> = seen
+            .iter()
+            .zip(squares)
+            .filter(|(_, square)| square.is_finite())
+            .map(|(seen, square)| square / seen.inverse_std.powi(2))
+            .collect();
         ScenePoint {
             point: frame.point(point),
-            rms_px: (px2.sum::<f64>() / seen.len().max(1) as f64).sqrt(),
+            rms_px: (px2.iter().sum::<f64>() / px2.len().max(1) as f64).sqrt(),
             seen: seen.iter().map(|seen| (start.images[seen.camera], seen.pixel)).collect(),
         }
     })
@@ -417,7 +423,9 @@ fn view(
     lens: &Lens,
 ) -> SceneView {
     let name = of.name.clone();
-    let Some(camera_from_scene) = frame.camera_from_scene.get(image).copied().flatten() else {
+    let sees = |point: &ScenePoint| point.seen.iter().any(|(seen_in, _)| *seen_in == image);
+    let pose = frame.camera_from_scene.get(image).copied().flatten();
+    let Some(camera_from_scene) = pose.filter(|_| points.iter().any(sees)) else {
         let reason = same_as.map_or_else(
             || "too few of its features agree with the other images".to_owned(),
             |other| format!("it shows the same as `{other}`, from the same place"),
@@ -428,7 +436,8 @@ fn view(
     for point in points {
         for (_, pixel) in point.seen.iter().filter(|(seen_in, _)| *seen_in == image) {
             let projected = lens.pixel_from_point(&(camera_from_scene * point.point));
-            sum += projected.map_or(0.0, |projected| projected.distance_px(*pixel).powi(2));
+            let Some(projected) = projected else { continue };
+            sum += projected.distance_px(*pixel).powi(2);
             count += 1;
         }
     }
