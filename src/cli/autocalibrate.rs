@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use crate::calibration::result::SceneScale;
 use crate::calibration::scene::{SceneCalibration, SceneDepth, SceneOptions, calibrate_scene};
-use crate::cli::files::write_file;
+use crate::cli::files::{check_no_image, write_file};
 use crate::cli::in_order::all_cores;
 use crate::cli::lens_name::LensName;
 use crate::cli::scene_depth::stated_depth;
@@ -60,6 +60,20 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let threads = args.threads.map_or_else(all_cores, usize::from);
     let started = Instant::now();
     check_sources(&args.sources)?;
+    for (option, file) in [("--out", &args.out), ("--points", &args.points)] {
+        file.as_deref().map_or(Ok(()), |file| check_no_image(option, file))?;
+    }
+    if args.out.is_some() && args.out == args.points {
+        return Err(Failure::usage("--out and --points name one file: give each its own"));
+    }
+    for (k, parameter) in args.given.iter().enumerate() {
+        if args.given[..k].iter().any(|earlier| earlier.name == parameter.name) {
+            return Err(Failure::usage(format!(
+                "--given {} twice: give one value",
+                parameter.name
+            )));
+        }
+    }
     let frame_sets = || FrameSets::new(args.sources.iter().cloned());
     let SceneImages { images, depth, nominal_focal } = scene_images(frame_sets, threads)?;
     let options = SceneOptions {

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use crate::calibration::result::ImageCalibration;
 use crate::calibration::rounded::value_with_std;
-use crate::cli::files::{image_sensor, read_calibration, write_file};
+use crate::cli::files::{check_not_read, image_sensor, read_calibration, write_file};
 use crate::cli::{Failure, output};
 use crate::document::board_shape::BoardShapeDocument;
 use crate::imaging::board_drawing::{BoardOffsets, board_png};
@@ -29,6 +29,7 @@ pub struct Args {
 /// # Errors
 /// When the calibration cannot be read, or has measured no board.
 pub fn run(args: &Args) -> Result<(), Failure> {
+    check_not_read(&args.out, &[&args.calibration])?;
     let calibration = read_calibration(&args.calibration)?;
     let file = args.calibration.display();
     let is_asked = |name: &str| args.sensor.as_ref().is_none_or(|asked| asked == name);

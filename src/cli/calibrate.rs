@@ -1,8 +1,10 @@
 //! `plumb calibrate`: from images or a recording to a calibration.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Instant;
 
+use crate::calibration::result::CalibratedView;
 use crate::calibration::sensor::SensorId;
 use crate::calibration::{self, InstrumentObservations, SolveOptions};
 use crate::cli::calibrate_rgbd;
@@ -93,14 +95,27 @@ fn solve(
     let options = SolveOptions { camera: options, ..SolveOptions::default() };
     let solved = calibration::solve(&observations, &options);
     spinner.finish_and_clear();
-    let mut solved =
-        solved.map_err(|error| Failure::failed(format!("{}: {error}", args.search.title())))?;
+    let mut solved = solved.map_err(|error| {
+        let left_out = left_out(&others);
+        Failure::failed(format!("{}: {error}{left_out}", args.search.title()))
+    })?;
     if let Some(color) = solved.image_mut(&SensorId::own(SensorKind::Color)) {
         for (place, view) in others {
             color.views.insert(place.min(color.views.len()), view);
         }
     }
     args.output.give(&named(solved), None)
+}
+
+/// How many images are no views, and why most of them are not; nothing where there are none.
+fn left_out(others: &[(usize, CalibratedView)]) -> String {
+    let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
+    let reasons = others.iter().filter_map(|(_, view)| view.reason.as_deref());
+    reasons.for_each(|reason| *counts.entry(reason).or_default() += 1);
+    let commonest = counts.into_iter().max_by_key(|(_, count)| *count);
+    commonest.map_or_else(String::new, |(reason, count)| {
+        format!("; {} images were not used, most often ({count}): {reason}", others.len())
+    })
 }
 
 /// Several folders or recordings may be one camera's or several cameras': that is not guessed.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::calibration::depth_calibration::DepthCalibration;
 use crate::calibration::result::{Calibration, Extrinsics, ImageCalibration};
 use crate::calibration::rounded::value_with_std;
-use crate::cli::files::write_file;
+use crate::cli::files::{check_no_image, write_file};
 use crate::cli::{Failure, output};
 use crate::document::calibration::CalibrationDocument;
 use crate::document::time;
@@ -38,6 +38,9 @@ impl OutputArgs {
             return Err(Failure::usage(
                 "--json and --format both print: give --out FILE for the format, or leave one out",
             ));
+        }
+        if let Some(out) = &self.out {
+            check_no_image("--out", out)?;
         }
         let folder = self.out.as_deref().and_then(Path::parent);
         match folder.filter(|folder| !folder.as_os_str().is_empty() && !folder.is_dir()) {

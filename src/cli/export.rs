@@ -7,7 +7,7 @@ use clap::ValueEnum;
 use clap::builder::PossibleValue;
 use serde::Serialize;
 
-use crate::cli::files::{read_calibration, write_file};
+use crate::cli::files::{check_not_read, read_calibration, write_file};
 use crate::cli::{Failure, output};
 use crate::export::other_images::{OtherImages, for_other_images};
 use crate::export::{ExportOptions, Exported, Format, export};
@@ -106,6 +106,10 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         tracing::warn!("{note}");
     }
     if let Some(path) = &args.out {
+        // A document may take the place of the one that it comes from.
+        if args.format != Format::Json {
+            check_not_read(path, &[&args.calibration])?;
+        }
         write(path, &exported)?;
     }
     match (args.json, &args.out) {

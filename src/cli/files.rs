@@ -10,6 +10,8 @@ use crate::calibration::sensor::SensorId;
 use crate::cli::Failure;
 use crate::document::calibration::CalibrationDocument;
 use crate::document::reading::from_json;
+use crate::imaging::image_file::is_image;
+use crate::recording::is_recording_file;
 
 /// Reads a JSON document.
 ///
@@ -56,6 +58,36 @@ pub fn image_sensor<'a>(
             None => format!("{file}: holds several cameras: give --sensor, one of {known}"),
         })
     })
+}
+
+/// Refuses to write over a file that the command reads.
+///
+/// # Errors
+/// When `out` is one of `read`.
+pub fn check_not_read(out: &Path, read: &[&Path]) -> Result<(), Failure> {
+    let same = |read: &&Path| matches!((out.canonicalize(), read.canonicalize()), (Ok(out), Ok(read)) if out == read);
+    if read.iter().any(same) {
+        return Err(Failure::usage(format!(
+            "{} is read by this command, and would be written over: give the output another name",
+            out.display()
+        )));
+    }
+    Ok(())
+}
+
+/// Refuses to write what is no image over an image or a recording: an option without its value
+/// takes the first of them.
+///
+/// # Errors
+/// When `out` is one.
+pub fn check_no_image(option: &str, out: &Path) -> Result<(), Failure> {
+    if out.is_file() && (is_image(out) || is_recording_file(out)) {
+        return Err(Failure::usage(format!(
+            "{option} {}: an image or a recording is there: name the file to write",
+            out.display()
+        )));
+    }
+    Ok(())
 }
 
 /// Writes a file whole or not at all: beside its name first, then into place. A link stays, and

@@ -72,6 +72,25 @@ pub fn calibrate(
             "a rig is two cameras or more, each with a name of its own: --rig left=SOURCE --rig right=SOURCE",
         ));
     }
+    for (k, camera) in cameras.iter().enumerate() {
+        let is_same = |other: &&NamedSource| {
+            let [one, other] = [camera, *other].map(|it| Path::new(&it.source).canonicalize());
+            matches!((one, other), (Ok(one), Ok(other)) if one == other)
+        };
+        if let Some(other) = cameras[..k].iter().find(is_same) {
+            return Err(Failure::usage(format!(
+                "--rig: {} and {} are one source, {}: give each camera its own",
+                other.name, camera.name, camera.source
+            )));
+        }
+    }
+    for (k, lens) in given.iter().enumerate() {
+        let sensor = (&lens.camera, lens.sensor);
+        if given[..k].iter().any(|earlier| (&earlier.camera, earlier.sensor) == sensor) {
+            let (camera, sensor) = (&lens.camera, lens.sensor.name());
+            return Err(Failure::usage(format!("--given {camera}.{sensor} twice: give one lens")));
+        }
+    }
     if let Some(unknown) = given.iter().find(|given| !names.contains(given.camera.as_str())) {
         return Err(Failure::usage(format!(
             "--given {}: the rig has no such camera",

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crate::calibration::target::CalibrationTarget;
+use crate::cli::files::check_not_read;
 use crate::cli::{Failure, output, progress};
 use crate::document::calibration::ExtrinsicsDocument;
 use crate::document::pose::PoseDocument;
@@ -63,6 +64,9 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let Some(out) = &args.out else {
         return args.operated.run(args.seed.unwrap_or(1), args.json);
     };
+    if let Some(config) = &args.config {
+        check_not_read(out, &[config])?;
+    }
     let scene = SceneFile::load(args.config.as_deref(), args.seed)?;
     let truth = render(&scene, out)?;
     let beside = out.with_extension("truth.json");

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use crate::cli::files::write_file;
+use crate::cli::files::{check_not_read, write_file};
 use crate::cli::target_args::read_target;
 use crate::cli::target_sheet::PaperSheet;
 use crate::cli::{Failure, output};
@@ -69,6 +69,7 @@ impl FromStr for Paper {
 /// When the target cannot be read or does not fit the paper, or the files cannot be written.
 pub fn run(args: &Args) -> Result<(), Failure> {
     let target = read_target(&args.target)?;
+    check_not_read(&args.out, &[&args.target])?;
     let sheet = PaperSheet::new(&PrintedBoard::of(&target), args.paper.mm, &target.to_string())
         .map_err(Failure::usage)?;
     let ending = args.out.extension().and_then(|ending| ending.to_str()).unwrap_or_default();
@@ -84,7 +85,14 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         }
     };
     let description = args.out.with_extension("json");
-    if description.exists() && read_target(&description).is_err() {
+    // That of an earlier print goes with it.
+    let is_kept = match description.exists().then(|| read_target(&description)) {
+        None => false,
+        Some(there) => {
+            there.is_err() || (there.is_ok_and(|there| there != target) && !args.out.exists())
+        }
+    };
+    if is_kept {
         return Err(Failure::failed(format!(
             "{}: the target would be written here, but another file is there: give --out another name",
             description.display()

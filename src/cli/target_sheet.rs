@@ -186,6 +186,23 @@ impl PaperSheet {
     pub fn to_png(&self, dpi: f64) -> Result<Vec<u8>, image::ImageError> {
         let mut bytes = Cursor::new(Vec::new());
         self.to_pixels(dpi).write_to(&mut bytes, ImageFormat::Png)?;
-        Ok(bytes.into_inner())
+        let mut bytes = bytes.into_inner();
+        let resolution = resolution_chunk(dpi);
+        bytes.splice(AFTER_HEADER..AFTER_HEADER, resolution);
+        Ok(bytes)
     }
+}
+
+/// Where the chunk after the header begins: behind the signature and a header of 13 bytes, each
+/// chunk having its length, its name and a checksum (PNG specification, section 5).
+const AFTER_HEADER: usize = 8 + 12 + 13;
+
+/// How large a PNG's pixels are: without, programs print it at a resolution of their own.
+fn resolution_chunk(dpi: f64) -> Vec<u8> {
+    const INCHES_PER_METER: f64 = 1.0 / 0.0254;
+    let per_meter = (dpi * INCHES_PER_METER).round() as u32;
+    let per_meter = per_meter.to_be_bytes();
+    let named = [b"pHYs".as_slice(), &per_meter, &per_meter, &[1]].concat();
+    let checksum = crc32fast::hash(&named).to_be_bytes();
+    [9_u32.to_be_bytes().as_slice(), &named, &checksum].concat()
 }

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use crate::calibration::solve::sensor_uncertainty;
-use crate::cli::files::{read_calibration, write_file};
+use crate::cli::files::{check_not_read, read_calibration, write_file};
 use crate::cli::length::Length;
 use crate::cli::{Failure, output};
 use crate::document::uncertainty::UncertaintyMapDocument;
@@ -39,6 +39,9 @@ const COLUMNS: [u32; 2] = [13, 49];
 /// # Errors
 /// When the calibration cannot be read, or holds no covariance of the sensor.
 pub fn run(args: &Args) -> Result<(), Failure> {
+    if let Some(out) = &args.out {
+        check_not_read(out, &[&args.calibration])?;
+    }
     let calibration = read_calibration(&args.calibration)?;
     let file = args.calibration.display();
     let sensors = || {

@@ -48,7 +48,7 @@ impl OtherBoard {
         }
         self.frames_left -= 1;
         match self.seen.clone() {
-            Some(seen) => NoTarget::Recognized { seen, target: target.to_string() },
+            Some(seen) => NoTarget::Recognized { seen, target: target.with_proportions() },
             None => none,
         }
     }

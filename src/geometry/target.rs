@@ -237,13 +237,25 @@ impl Target {
         BoardSize { cols, rows }
     }
 
+    /// Its name with the proportions that an image shows: how large markers are in their squares,
+    /// or gaps between tags.
+    pub fn with_proportions(&self) -> String {
+        match self {
+            Self::Chessboard(_) => self.to_string(),
+            Self::Charuco(board) => {
+                format!("{self}, markers {:.2} of a square", board.marker_m / board.square_m)
+            }
+            Self::AprilGrid(grid) => format!("{self}, gaps {:.2} of a tag", grid.spacing),
+        }
+    }
+
     /// Whether no image of it determines which corner is first. Markers determine it.
     pub fn orientation_ambiguous(&self) -> bool {
         matches!(self, Self::Chessboard(board) if board.size.orientation_ambiguous())
     }
 
-    /// The motions after which it appears the same, as `board_from_board`, the identity first: only
-    /// a plain chessboard has others.
+    /// The motions that take its corners to themselves where no image determines the first one, as
+    /// `board_from_board`, the identity first: only a plain chessboard has others.
     pub fn symmetries(&self) -> Vec<Pose> {
         match self {
             Self::Chessboard(board) => board.symmetries(),

@@ -18,6 +18,8 @@ mod fisheye_boards;
 mod lens_choice;
 mod misfit;
 mod nearly_equal_views;
+#[path = "../system/not_tested.rs"]
+mod not_tested;
 mod occluders;
 mod photographs;
 mod predicted_scatter;

@@ -14,6 +14,8 @@ use plumb::geometry::pose::Pose;
 use plumb::imaging::depth_image::DepthImage;
 use plumb::imaging::registration::DepthRegistration;
 
+use crate::not_tested::not_tested;
+
 const SIZE: ImageSize = ImageSize::new(40, 30);
 
 fn readers() -> PathBuf {
@@ -142,7 +144,7 @@ fn python() -> Option<PathBuf> {
 #[test]
 fn the_python_reader_gives_the_library_s_numbers() {
     let Some(python) = python() else {
-        eprintln!("SKIPPED: no python3 with numpy, so the Python reader was not tested");
+        not_tested("the Python reader of depth corrections: no python3 with numpy");
         return;
     };
     let folder = tempfile::tempdir().unwrap();
@@ -158,7 +160,7 @@ fn the_python_reader_gives_the_library_s_numbers() {
 #[test]
 fn the_cpp_reader_gives_the_library_s_numbers() {
     if !runs("g++", &["--version"]) {
-        eprintln!("SKIPPED: no g++, so the C++ reader was not tested");
+        not_tested("the C++ reader of depth corrections: no g++");
         return;
     }
     let folder = tempfile::tempdir().unwrap();

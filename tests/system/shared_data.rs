@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::not_tested::not_tested;
+
 /// The folder `name` of the real images, found upwards from the project; `None`, loudly, where
 /// there are none at all. A folder that is missing among the others is a failure of the test.
 pub fn shared_data(name: &str) -> Option<PathBuf> {
@@ -10,9 +12,7 @@ pub fn shared_data(name: &str) -> Option<PathBuf> {
         .map(|up| up.join("shared/data"))
         .find(|p| p.is_dir());
     let Some(root) = root else {
-        eprintln!(
-            "SKIPPED: no shared/data beside the project, so nothing was tested on the real images of {name}"
-        );
+        not_tested(&format!("the real images of {name}: no shared/data beside the project"));
         return None;
     };
     let folder = root.join(name);

@@ -44,19 +44,9 @@ pub struct RecognizedBoard {
 
 impl fmt::Display for RecognizedBoard {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}", self.target)?;
-        match &self.target {
-            Target::Charuco(board) => {
-                write!(f, ", markers {:.2} of a square", board.marker_m / board.square_m)?;
-                if board.legacy == Some(true) {
-                    write!(f, ", legacy layout")?;
-                }
-            }
-            Target::AprilGrid(grid) => {
-                let bits = grid.border_bits.unwrap_or(2);
-                write!(f, ", gaps {:.2} of a tag, borders of {bits} cells", grid.spacing)?;
-            }
-            Target::Chessboard(_) => {}
+        write!(f, "{}", self.target.with_proportions())?;
+        if let Target::AprilGrid(grid) = &self.target {
+            write!(f, ", borders of {} cells", grid.border_bits.unwrap_or(2))?;
         }
         if self.detection.markers.inverted {
             write!(f, ", black and white exchanged")?;
