@@ -2,8 +2,9 @@
 //! board better on views that the estimate was not fitted to.
 //!
 //! The views are dealt into two halves. Each half is measured with the estimate of the other half,
-//! and with the factory's calibration, which was fitted to neither. The board's true plane comes
-//! from the corners in color alone, so that it favors neither. An error of the color lens scales
+//! and with the factory's calibration, which was fitted to neither. The factory's depth is compared
+//! with where the joint solve of all views has the board, which favors the factory if anything;
+//! what a half found with where its own color lens has the board. An error of the color lens scales
 //! all planes alike, and the estimate with them; so the estimate must be better by more than the
 //! color lens is uncertain.
 

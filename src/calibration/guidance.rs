@@ -163,14 +163,13 @@ fn next_suggestion(target: &Chessboard, size: ImageSize, kept: &[Placement]) -> 
 /// it.
 pub(crate) fn obstacle(rejection: &Rejection) -> Option<String> {
     match rejection {
-        Rejection::NoBoard(reason @ (NoBoard::OtherSize { .. } | NoBoard::LowContrast { .. })) => {
-            Some(reason.to_string())
-        }
+        Rejection::NoBoard(reason @ NoBoard::LowContrast { .. }) => Some(reason.to_string()),
         Rejection::NoBoard(NoBoard::Blurred { .. }) | Rejection::Blurred { .. } => Some(
             "the image is blurred: hold the board still, add light, or focus the lens".to_owned(),
         ),
         Rejection::NoBoard(NoBoard::Incomplete { .. } | NoBoard::CutOff { .. })
         | Rejection::Partial { .. } => Some("bring the whole board into the image".to_owned()),
+        Rejection::NoBoard(reason) if reason.names_another() => Some(reason.to_string()),
         Rejection::NoBoard(_) => Some("show the board to the camera".to_owned()),
         Rejection::Moving { .. } => Some("hold the board still".to_owned()),
         Rejection::NoTexture { .. } => {

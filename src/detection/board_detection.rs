@@ -198,6 +198,19 @@ impl NoBoard {
             Self::Incomplete { .. } => "incomplete",
         }
     }
+
+    /// Whether another board than the one asked for is in view, or this one in mirror image.
+    pub fn names_another(&self) -> bool {
+        matches!(
+            self,
+            Self::OtherSize { .. }
+                | Self::Target(
+                    NoTarget::OtherBoard { .. }
+                        | NoTarget::Recognized { .. }
+                        | NoTarget::Mirrored { .. }
+                )
+        )
+    }
 }
 
 fn largest_grid(cols: u32, rows: u32) -> String {

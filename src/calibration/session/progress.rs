@@ -39,21 +39,65 @@ impl FrameTime {
 
 /// What the newest frames in a row were rejected for.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Obstacle(Option<(Rejection, u32)>);
+pub(super) struct Obstacle(Option<Lasting>);
+
+#[derive(Debug, Clone)]
+struct Lasting {
+    what: Rejection,
+    frames: u32,
+    /// Frames since that show no board at all.
+    quiet: u32,
+}
 
 impl Obstacle {
-    /// Takes what became of a frame.
+    /// Takes what became of a frame. Another board than the one asked for is not recognized in
+    /// every frame: a few that show none in between say nothing against it.
     pub(super) fn note(&mut self, admission: &Result<u32, Rejection>) {
-        self.0 = admission.as_ref().err().map(|rejection| match &self.0 {
-            Some((before, frames)) if before.kind() == rejection.kind() => {
-                (rejection.clone(), frames + 1)
-            }
-            _ => (rejection.clone(), 1),
-        });
+        let Err(rejection) = admission else {
+            self.0 = None;
+            return;
+        };
+        if let (Some(before), Rejection::NoBoard(now)) = (&mut self.0, rejection)
+            && matches!(&before.what, Rejection::NoBoard(named) if named.names_another())
+            && !now.names_another()
+            && before.quiet + 1 < OBSTACLE_FRAMES
+        {
+            before.quiet += 1;
+            return;
+        }
+        let of_kind = self.0.as_ref().filter(|before| before.what.kind() == rejection.kind());
+        let frames = of_kind.map_or(0, |before| before.frames) + 1;
+        self.0 = Some(Lasting { what: rejection.clone(), frames, quiet: 0 });
     }
 
     /// One that lasts and is not a flicker.
     pub(super) fn lasting(&self) -> Option<&Rejection> {
-        self.0.as_ref().filter(|(_, frames)| *frames >= OBSTACLE_FRAMES).map(|(what, _)| what)
+        self.0.as_ref().filter(|it| it.frames >= OBSTACLE_FRAMES).map(|it| &it.what)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::detection::board_detection::NoBoard;
+    use crate::detection::coded::no_target::NoTarget;
+
+    #[test]
+    fn another_board_is_named_though_some_frames_show_none() {
+        let other = || {
+            let (seen, target) = ("6x6 AprilGrid".to_owned(), "6x5 ChArUco board".to_owned());
+            Err(Rejection::NoBoard(NoBoard::Target(NoTarget::Recognized { seen, target })))
+        };
+        let none = || Err(Rejection::NoBoard(NoBoard::NoCorners));
+        let mut obstacle = Obstacle::default();
+        let named = |obstacle: &Obstacle| obstacle.lasting().map(Rejection::kind);
+        for frame in 0..6 {
+            obstacle.note(&if frame % 3 == 2 { none() } else { other() });
+        }
+        assert_eq!(named(&obstacle), Some("other_board"));
+        (0..3).for_each(|_| obstacle.note(&none()));
+        assert_eq!(named(&obstacle), None, "it is not in view any more");
+        obstacle.note(&Ok(3));
+        assert_eq!(named(&obstacle), None);
     }
 }
