@@ -111,3 +111,92 @@ fn spread_over_image(
     ranked.sort_by_key(|(rank, _)| *rank);
     ranked.into_iter().map(|(_, k)| k).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::features::matching::{DescriptorTable, match_descriptors};
+    use crate::imaging::gray::GrayImage;
+
+    const SIDE: usize = 600;
+
+    /// Bright spots on gray: the place and the standard deviation of each, in pixels.
+    fn spots() -> Vec<(f64, f64, f64)> {
+        (0..36)
+            .map(|k| {
+                let (col, row) = (f64::from(k % 6), f64::from(k / 6));
+                let off = |by: f64| 0.5 * (f64::from(k) * by).sin();
+                (
+                    60.0 + 95.0 * col + off(1.1),
+                    60.0 + 95.0 * row + off(1.9),
+                    1.5 + 0.15 * f64::from(k),
+                )
+            })
+            .collect()
+    }
+
+    fn image(luma: impl Fn(f64, f64) -> f64) -> GrayImage {
+        let at = |k: usize| luma((k % SIDE) as f64, (k / SIDE) as f64).round() as u8;
+        GrayImage::from_pixels(SIDE, SIDE, (0..SIDE * SIDE).map(at).collect()).unwrap()
+    }
+
+    /// What the difference of Gaussians of deviations σ and kσ, k = 2^(1/3), does to a spot of
+    /// deviation s is 1/(σ² + s²) − 1/(k²σ² + s²), greatest at σ = s/√k.
+    #[test]
+    fn spots_are_found_where_and_as_large_as_they_are() {
+        let spots = spots();
+        let image = image(|x, y| {
+            let spot = |(u, v, s): &(f64, f64, f64)| {
+                150.0 * (-((x - u).powi(2) + (y - v).powi(2)) / (2.0 * s * s)).exp()
+            };
+            60.0 + spots.iter().map(spot).sum::<f64>()
+        });
+        let found = find_features(image.view(), &FeatureOptions::default());
+        let mut sum = [0.0; 2];
+        for (x, y, s) in &spots {
+            let at = Pixel::new(*x, *y);
+            let near = found.keypoints.iter().filter(|one| one.pixel.distance_px(at) < 2.0);
+            let strongest = near.max_by(|a, b| a.contrast.total_cmp(&b.contrast)).unwrap();
+            let off_px = strongest.pixel.distance_px(at);
+            assert!(off_px < 2.0 * strongest.std_px(), "spot of {s} px: {off_px} px off");
+            let scale = strongest.scale_px / (s / 2.0_f64.powf(1.0 / 6.0));
+            assert!((scale - 1.0).abs() < 0.1, "spot of {s} px: {scale} times as large");
+            sum = [sum[0] + strongest.pixel.x - x, sum[1] + strongest.pixel.y - y];
+        }
+        let mean_px = sum.map(|sum| sum / spots.len() as f64);
+        assert!(mean_px.iter().all(|mean| mean.abs() < 0.03), "{mean_px:?}");
+    }
+
+    #[test]
+    fn an_image_rotated_by_a_quarter_has_the_same_features() {
+        let random = |k: i32, by: f64| (f64::from(k) * by).sin() * 43_758.545 % 1.0;
+        let spots: Vec<[f64; 4]> = (0..400)
+            .map(|k| {
+                let place = [random(k, 12.9898), random(k, 78.233)].map(|at| 300.0 + 280.0 * at);
+                [place[0], place[1], 2.5 + 1.5 * random(k, 37.719), 70.0 * random(k, 4.898)]
+            })
+            .collect();
+        let luma = |x: f64, y: f64| {
+            let spot = |[u, v, s, height]: &[f64; 4]| {
+                let square = ((x - u).powi(2) + (y - v).powi(2)) / (2.0 * s * s);
+                if square < 20.0 { height * (-square).exp() } else { 0.0 }
+            };
+            (128.0 + spots.iter().map(spot).sum::<f64>()).clamp(0.0, 255.0)
+        };
+        let last = SIDE as f64 - 1.0;
+        let [upright, rotated] = [image(luma), image(|x, y| luma(y, last - x))]
+            .map(|image| find_features(image.view(), &FeatureOptions::default()));
+        assert!(upright.keypoints.len() > 100, "{}", upright.keypoints.len());
+        let tables = [&upright, &rotated].map(|one| DescriptorTable::new(&one.descriptors));
+        let matches = match_descriptors(&tables[0], &tables[1]);
+        let is_right = |found: &&crate::features::matching::Match| {
+            let first = upright.keypoints[found.first].pixel;
+            let second = rotated.keypoints[found.second].pixel;
+            second.distance_px(Pixel::new(last - first.y, first.x)) < 0.3
+        };
+        let right = matches.iter().filter(is_right).count();
+        let all = upright.keypoints.len();
+        assert_eq!(right, matches.len());
+        assert!(4 * right >= 3 * all, "{right} of {all}");
+    }
+}

@@ -111,9 +111,10 @@ impl Chessboard {
         Point3::new(f64::from(col) * self.square_m, f64::from(row) * self.square_m, 0.0)
     }
 
-    /// The motions after which its pattern is the same, as `board_from_board`: the identity first,
-    /// then the half turn of a board whose first corner no image determines, and the quarter turns
-    /// of a square one.
+    /// The motions that take its lattice of corners to itself where no image determines the first
+    /// corner, as `board_from_board`: the identity first, then the half turn, and the quarter turns
+    /// of a square board. After quarter turns of an odd number of corners a side, dark squares are
+    /// where light ones were.
     pub fn symmetries(&self) -> Vec<Pose> {
         if !self.size.orientation_ambiguous() {
             return vec![Pose::identity()];

@@ -2,8 +2,9 @@
 
 use nalgebra::{Matrix3, Point2, SMatrix, SVector, Vector2, Vector3};
 
-/// A 3×3 homography `target_from_source` in homogeneous coordinates, scaled to unit Frobenius norm
-/// and so that points of the source have a positive third coordinate.
+/// A 3×3 homography `target_from_source` in homogeneous coordinates, scaled to unit Frobenius norm.
+/// Points of the source are mapped where their third coordinate is positive: a fit has the sign
+/// that makes it so for the points that were fitted to.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Homography {
     matrix: Matrix3<f64>,

@@ -16,6 +16,8 @@ mod faults;
 mod formats;
 mod guest;
 mod loopback;
+#[path = "../system/not_tested.rs"]
+mod not_tested;
 #[cfg(feature = "nokhwa")]
 mod portable;
 mod replug;

@@ -3,6 +3,8 @@
 use std::path::Path;
 use std::process::{Command, ExitCode};
 
+use crate::not_tested::not_tested;
+
 /// How long a run may take; the small machine computes in software.
 const LIMIT_SECONDS: &str = "600";
 /// The package's unit.
@@ -13,9 +15,7 @@ pub fn run_this_program(names: &[String], plain: bool, under_systemd: bool) -> E
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/device/small_machine.sh");
     let prepared = Command::new(&script).arg("prepare").status();
     if !prepared.is_ok_and(|status| status.success()) {
-        println!(
-            "REAL DEVICES NOT TESTED: the small machine could not be made, see the line above"
-        );
+        not_tested("real devices: the small machine could not be made, see the line above");
         // A machine without the packages, or not root: a developer may go on, but nothing may be
         // released untested.
         let released = std::env::var_os("CI").is_some();

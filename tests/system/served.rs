@@ -3,6 +3,7 @@
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
 
 use serde_json::Value;
 use ureq::Agent;
@@ -241,16 +242,21 @@ impl Events {
         }
     }
 
-    /// The first event that is `wanted`, itself included.
+    /// The first event that is `wanted`, itself included. Others may come for ever.
     pub fn until(&mut self, wanted: impl Fn(&SentEvent) -> bool) -> SentEvent {
+        let begun = Instant::now();
         loop {
             let event = self.next();
             if wanted(&event) {
                 return event;
             }
+            assert!(begun.elapsed() < PATIENCE, "the event did not come; the last was {event:?}");
         }
     }
 }
+
+/// How long an event may take that is sure to come: far longer than any does on a slow machine.
+const PATIENCE: Duration = Duration::from_secs(180);
 
 /// A recording that comes with the project.
 pub fn recording(name: &str) -> PathBuf {

@@ -267,3 +267,67 @@ impl EpipolarGeometry for UnitBaseline {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Point2;
+
+    use super::*;
+
+    /// Pairs that fit no geometry, so that residuals are large.
+    fn pairs() -> Vec<PointPair> {
+        let at = |k: u32, by: f64| 0.4 * (f64::from(k) * by).sin();
+        (0..20)
+            .map(|k| PointPair {
+                first: Point2::new(at(k, 1.3), at(k, 2.1)),
+                second: Point2::new(at(k, 1.7), at(k, 2.9)),
+            })
+            .collect()
+    }
+
+    /// Signed Sampson distances.
+    fn residuals(geometry: &impl EpipolarGeometry) -> DVector<f64> {
+        let f = geometry.matrix();
+        let of_pair = |pair: &PointPair| {
+            let [first, second] = pair.homogeneous();
+            let error = second.dot(&(f * first));
+            error.signum() * sampson_distance_px(&f, pair).abs()
+        };
+        DVector::from_iterator(20, pairs().iter().map(of_pair))
+    }
+
+    fn assert_derivatives(geometry: &impl EpipolarGeometry) {
+        const STEP: f64 = 1e-5;
+        let freedom = geometry.tangents().len();
+        let columns: Vec<DVector<f64>> = (0..freedom)
+            .map(|k| {
+                let at = |sign: f64| {
+                    let mut step = DVector::zeros(freedom);
+                    step[k] = sign * STEP;
+                    residuals(&geometry.stepped(&step))
+                };
+                (at(1.0) - at(-1.0)) / (2.0 * STEP)
+            })
+            .collect();
+        let jacobian = DMatrix::from_columns(&columns);
+        let weights: Vec<f64> = (0..20).map(|k| 0.5 + 0.02 * f64::from(k)).collect();
+        let weighted = DMatrix::from_diagonal(&DVector::from_row_slice(&weights));
+        let residuals = residuals(geometry);
+        let (cost, normal, gradient) = equations(geometry, &pairs(), &weights);
+        let close = |found: f64, wanted: f64| (found - wanted).abs() < 1e-6 * (1.0 + wanted.abs());
+        assert!(close(cost, residuals.dot(&(&weighted * &residuals))) && cost > 0.1, "{cost}");
+        let wanted = jacobian.transpose() * &weighted * &residuals;
+        assert!(gradient.iter().zip(&wanted).all(|(a, b)| close(*a, *b)), "{gradient} {wanted}");
+        let wanted = jacobian.transpose() * weighted * &jacobian;
+        assert!(normal.iter().zip(&wanted).all(|(a, b)| close(*a, *b)), "{normal} {wanted}");
+    }
+
+    #[test]
+    fn equations_are_those_of_numeric_differences() {
+        let rotation = Rotation3::from_scaled_axis(Vector3::new(0.2, -0.1, 0.3)).into_inner();
+        let translation = Vector3::new(0.6, 0.48, 0.64);
+        let pose = UnitBaseline { rotation, translation };
+        assert_derivatives(&pose);
+        assert_derivatives(&Orthonormal::of(&pose.matrix()).unwrap());
+    }
+}
