@@ -254,11 +254,31 @@ fn scale_doubt(joint: &RgbdEstimate, board: &Target) -> Option<String> {
         Target::Charuco(board) => ("square", board.square_m),
         Target::AprilGrid(board) => ("tag", board.tag_m),
     };
+    let (std, along_m) = factor_std(joint)?;
+    if off < SURE * std {
+        let (std, along_mm) = (100.0 * std, 1e3 * along_m);
+        return Some(format!(
+            "depth reads {percent:+.1} ± {std:.1} % off the board in every view, too uncertain for a cause: a unit of depth or a {what} that is off by as much, or where the depth camera is, known to {along_mm:.0} mm along its axis; show the board nearer and farther, and give infrared images where there are any"
+        ));
+    }
     let [stated_mm, fitting_mm] = [length_m, length_m * factor].map(|m| 1e3 * m);
     Some(format!(
         "depth reads {percent:+.1} % off the board in every view: either a unit of depth is {:.3e} m and not {unit_m:.3e} m, or a {what} is {fitting_mm:.2} mm and not {stated_mm:.2} mm; measure a {what} with a ruler, to decide: a wrong one scales the distance between the sensors too",
         unit_m / factor
     ))
+}
+
+/// A factor beyond this many of its standard deviations has a cause.
+const SURE: f64 = 3.0;
+
+/// The standard deviation of the factor between depth and the board: by where the depth camera is
+/// along color's axis, whose own deviation in meters is given too, and by color's focal length.
+fn factor_std(joint: &RgbdEstimate) -> Option<(f64, f64)> {
+    let distances = joint.judged.iter().flatten().map(|judged| 1.0 / judged.tile.inverse_depth);
+    let distance_m = median(distances.collect())?;
+    let along_m = joint.color_from_depth_covariance[(5, 5)].sqrt();
+    let focal = joint.color_covariance[(0, 0)].sqrt() / joint.color.matrix.fx;
+    Some((focal.hypot(along_m / distance_m), along_m))
 }
 
 /// Where the joint solve has the board, for one document that holds together: its lenses project
