@@ -254,9 +254,7 @@ impl Bundle {
             }
         }
         for k in 0..size {
-            // The pose of an image that sees nothing any more stays where it is.
-            let is_open = k >= lens && matrix[(k, k)] == 0.0;
-            matrix[(k, k)] = if is_open { 1.0 } else { matrix[(k, k)] * (1.0 + damping) };
+            matrix[(k, k)] *= 1.0 + damping;
         }
         matrix.fill_upper_triangle_with_lower_triangle();
         ReducedCameraSystem { matrix, gradient, points }
