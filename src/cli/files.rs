@@ -60,13 +60,17 @@ pub fn image_sensor<'a>(
     })
 }
 
+/// Whether both paths are of one file or folder that is there.
+pub fn same_file(one: &Path, other: &Path) -> bool {
+    matches!((one.canonicalize(), other.canonicalize()), (Ok(one), Ok(other)) if one == other)
+}
+
 /// Refuses to write over a file that the command reads.
 ///
 /// # Errors
 /// When `out` is one of `read`.
 pub fn check_not_read(out: &Path, read: &[&Path]) -> Result<(), Failure> {
-    let same = |read: &&Path| matches!((out.canonicalize(), read.canonicalize()), (Ok(out), Ok(read)) if out == read);
-    if read.iter().any(same) {
+    if read.iter().any(|read| same_file(out, read)) {
         return Err(Failure::usage(format!(
             "{} is read by this command, and would be written over: give the output another name",
             out.display()

@@ -16,7 +16,7 @@ use crate::calibration::{
 };
 use crate::cli::calibrate_rgbd;
 use crate::cli::estimated::GivenLens;
-use crate::cli::files::read_calibration;
+use crate::cli::files::{read_calibration, same_file};
 use crate::cli::gather::{check_size, same_as, unused};
 use crate::cli::in_order::in_order;
 use crate::cli::search::{SearchedImage, searcher, warn_of_rotation};
@@ -73,10 +73,8 @@ pub fn calibrate(
         ));
     }
     for (k, camera) in cameras.iter().enumerate() {
-        let is_same = |other: &&NamedSource| {
-            let [one, other] = [camera, *other].map(|it| Path::new(&it.source).canonicalize());
-            matches!((one, other), (Ok(one), Ok(other)) if one == other)
-        };
+        let is_same =
+            |other: &&NamedSource| same_file(Path::new(&camera.source), Path::new(&other.source));
         if let Some(other) = cameras[..k].iter().find(is_same) {
             return Err(Failure::usage(format!(
                 "--rig: {} and {} are one source, {}: give each camera its own",

@@ -1,9 +1,9 @@
 //! `plumb target`: a board to print, at its true size, and its description beside it.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::str::FromStr;
 
-use crate::cli::files::{check_not_read, write_file};
+use crate::cli::files::{check_not_read, same_file, write_file};
 use crate::cli::target_args::read_target;
 use crate::cli::target_sheet::PaperSheet;
 use crate::cli::{Failure, output};
@@ -107,10 +107,6 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         "{}: a {target}; print it at 100 %, and measure the ruler",
         args.out.display()
     ))
-}
-
-fn same_file(a: &Path, b: &Path) -> bool {
-    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }
 
 #[cfg(test)]
