@@ -6,7 +6,7 @@ use crate::detection::refine::field_sums::{
 };
 
 /// Pivot threshold relative to the diagonal; rejects near-collinear basis terms.
-const LEAST_PIVOT: f64 = 1e-6;
+pub(super) const LEAST_PIVOT: f64 = 1e-6;
 /// Weighted least squares are repeated against outliers.
 const ROUNDS: usize = 2;
 /// The power of column and row in each term.
@@ -47,8 +47,8 @@ pub(super) struct FieldSample {
 pub(super) struct BoardField {
     /// Places are moved and scaled to −1 … 1.
     middle: [f64; 2],
-    scale: [f64; 2],
-    solution: Solution,
+    pub(super) scale: [f64; 2],
+    pub(super) solution: Solution,
 }
 
 impl BoardField {
@@ -68,7 +68,7 @@ impl BoardField {
     }
 
     /// No field yet, over the places of `samples`.
-    fn spanning(samples: &[FieldSample]) -> Self {
+    pub(super) fn spanning(samples: &[FieldSample]) -> Self {
         let fold = |k: usize, pick: fn(f64, f64) -> f64| {
             samples.iter().map(|s| s.place[k]).reduce(pick).unwrap_or(0.0)
         };
@@ -80,7 +80,7 @@ impl BoardField {
         }
     }
 
-    fn scaled(&self, place: [f64; 2]) -> [f64; 2] {
+    pub(super) fn scaled(&self, place: [f64; 2]) -> [f64; 2] {
         [0, 1].map(|k| (place[k] - self.middle[k]) * self.scale[k])
     }
 
@@ -267,7 +267,7 @@ pub(super) fn basis([x, y]: [f64; 2]) -> [f64; LANES] {
     ]
 }
 
-fn dot(a: &[f64], b: &[f64]) -> f64 {
+pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 

@@ -6,6 +6,7 @@ use crate::detection::refine::corner_model::length;
 use crate::detection::refine::field::{BoardField, FieldSample};
 use crate::detection::refine::grid_corner::GridCorner;
 use crate::detection::refine::own_curvature::OwnCurvature;
+use crate::detection::refine::stepped_field::SteppedFit;
 
 /// One corner after the first fit, in image pixels.
 #[derive(Debug, Clone, Copy)]
@@ -45,8 +46,11 @@ pub(super) struct Lattice {
     by_neighbors: [Vec<FieldSample>; 2],
     /// The curvature of the edges along each axis.
     curvatures: [BoardField; 2],
-    /// The natural logarithm of white.
+    /// The natural logarithm of white: its slope.
     light: BoardField,
+    steps: SteppedFit,
+    /// Of each corner, its place among the samples of light.
+    lit: Vec<Option<usize>>,
 }
 
 /// Largest span of a grid, in indices: beyond, no priors are estimated.
@@ -83,8 +87,29 @@ impl Lattice {
                 weight: 1.0,
             })
         }));
-        self.light = BoardField::fit(&samples, LIGHT_ORDER);
+        let smooth = BoardField::fit(&samples, LIGHT_ORDER);
+        self.pair_neighbors(corners, known);
+        self.light = self.steps.slopes(&samples, &smooth, LIGHT_ORDER).unwrap_or(smooth);
         self.samples = samples;
+    }
+
+    /// Which samples of light are neighbors.
+    fn pair_neighbors(&mut self, corners: &[GridCorner], known: &[Option<Known>]) {
+        self.lit.clear();
+        let mut count = 0;
+        self.lit.extend(known.iter().map(|known| {
+            count += usize::from(known.is_some());
+            known.is_some().then(|| count - 1)
+        }));
+        let mut pairs = std::mem::take(&mut self.steps.pairs);
+        pairs.clear();
+        for (corner, from) in corners.iter().zip(&self.lit) {
+            for step in [[1, 0], [0, 1]] {
+                let to = self.slot(corner.index, step).and_then(|slot| self.lit[slot]);
+                pairs.extend(from.zip(to).map(|(from, to)| [from, to]));
+            }
+        }
+        self.steps.pairs = pairs;
     }
 
     /// The curvature of the edges along `axis` by both: the differences between neighbors, whose

@@ -49,6 +49,7 @@ mod samples;
 mod scatter;
 mod second_fit;
 mod shading;
+mod stepped_field;
 mod straightness;
 mod transfer;
 mod window;
