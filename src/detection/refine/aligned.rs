@@ -78,6 +78,10 @@ impl Refiner {
         self.shapes.clear();
         for (aligned, corner) in aligned.iter().zip(corners) {
             self.shapes.push(aligned.as_ref().map_or([1.0, 0.0, 1.0], Aligned::shape));
+            for difference in aligned.iter().filter_map(|it| it.fit.disagreements).flatten() {
+                let mean_square = aligned.map_or(1.0, |it| it.fit.mean_square);
+                self.scatter.take(refined.len(), difference / mean_square);
+            }
             if let (Some(aligned), Some(axes)) = (aligned, axes_of(corner)) {
                 let reach_px = aligned.window.extent[0];
                 self.straightness.note_window(axes.map(|axis| reach_px / length(axis)));

@@ -8,7 +8,7 @@
 //! least squares, in light (gray values to a power), where blur is linear (B. D. Lucas and T.
 //! Kanade: An iterative image registration technique, 1981).
 
-use nalgebra::{Matrix4, Vector4};
+use nalgebra::{Matrix2, Matrix4, Vector2, Vector4};
 
 use crate::detection::refine::print::PrintPatch;
 use crate::detection::refine::window::Window;
@@ -24,6 +24,8 @@ const ENOUGH: f64 = 0.01;
 const DARKEST: f64 = 1.0;
 /// Least sum of weights, in samples: three for each of the four unknowns.
 const LEAST_SAMPLES: f64 = 12.0;
+/// Samples of more weight than this are the inner ones: of a window's Gaussian they have half.
+const HALF_WEIGHT: f64 = 0.5;
 
 /// What is known beforehand of how an image shows the print around a corner.
 #[derive(Debug, Clone, Copy)]
@@ -57,6 +59,9 @@ pub(super) struct Alignment {
     pub grays: [f64; 2],
     /// By how much the last step changed `offset`, in samples.
     pub last_step: f64,
+    /// How far the offsets by the inner and by the outer samples differ, as squares of two
+    /// independent parts in units of the variance that white noise gives them.
+    pub disagreements: Option<[f64; 2]>,
 }
 
 /// The samples that are compared with a rendered print.
@@ -174,7 +179,7 @@ impl AlignedSamples {
         part: f64,
         before: Option<(&Vector4<f64>, [f64; 2])>,
     ) -> Option<(Vector4<f64>, Alignment)> {
-        let mut sums = AlignmentSums::default();
+        let [mut inner, mut outer] = [AlignmentSums::default(), AlignmentSums::default()];
         for sample in &self.samples {
             let row = sample.row();
             let (noise, trust) = match before {
@@ -188,8 +193,11 @@ impl AlignedSamples {
                     (light.noise_of_light(predicted, sample.print), trust * trust)
                 }
             };
-            sums.add(&row, sample.light, sample.weight, trust, noise);
+            let half = if sample.weight > HALF_WEIGHT { &mut inner } else { &mut outer };
+            half.add(&row, sample.light, sample.weight, trust, noise);
         }
+        let halves = [inner.offset(), outer.offset()];
+        let sums = inner.with(&outer);
         if sums.trusted < LEAST_SAMPLES {
             return None;
         }
@@ -215,6 +223,7 @@ impl AlignedSamples {
             inlier_ratio: sums.trusted / sums.weights,
             grays,
             last_step: 0.0,
+            disagreements: halves[0].zip(halves[1]).and_then(|(a, b)| a.disagreements(&b)),
         };
         Some((unknowns, aligned))
     }
@@ -257,7 +266,46 @@ struct AlignmentSums {
     trusted: f64,
 }
 
+/// Where half of the samples puts the print.
+#[derive(Debug, Clone, Copy)]
+struct HalfOffset {
+    offset: Vector2<f64>,
+    /// Per unit of noise.
+    covariance: Matrix2<f64>,
+}
+
+impl HalfOffset {
+    fn disagreements(&self, other: &Self) -> Option<[f64; 2]> {
+        let factors = (self.covariance + other.covariance).cholesky()?;
+        let difference = factors.l().solve_lower_triangular(&(self.offset - other.offset))?;
+        Some([difference.x * difference.x, difference.y * difference.y])
+    }
+}
+
 impl AlignmentSums {
+    fn with(&self, other: &Self) -> Self {
+        Self {
+            normal: self.normal + other.normal,
+            right: self.right + other.right,
+            squared: self.squared + other.squared,
+            squares: self.squares + other.squares,
+            weights: self.weights + other.weights,
+            trusted: self.trusted + other.trusted,
+        }
+    }
+
+    /// The offset by these sums alone; `None` where they do not determine it.
+    fn offset(&self) -> Option<HalfOffset> {
+        let inverse = self.normal.try_inverse()?;
+        let unknowns = inverse * self.right;
+        let contrast = unknowns[1];
+        let spread = inverse * self.squared * inverse / (contrast * contrast);
+        (contrast > 0.0).then(|| HalfOffset {
+            offset: Vector2::new(unknowns[2], unknowns[3]) / contrast,
+            covariance: spread.fixed_view::<2, 2>(2, 2).into_owned(),
+        })
+    }
+
     fn add(&mut self, row: &Vector4<f64>, light: f64, weight: f64, trust: f64, noise: f64) {
         let trusted = weight * trust;
         let certainty = trusted / (noise * noise);

@@ -124,6 +124,57 @@ fn a_corner_among_others_is_found_as_exactly_as_it_says() {
     assert!(bias[0].max(bias[1]) < 4.0 * rms / (2.0 * IMAGES as f64).sqrt(), "{bias:?}");
 }
 
+/// Noise of the same standard deviation that 3 × 3 pixels share, as a camera's noise reduction
+/// leaves it, in place of that of `image_of`.
+fn with_shared_noise(corner: [f64; 2], rng: &mut ChaCha8Rng) -> GrayImage {
+    let mut still = image_of(corner, &mut ChaCha8Rng::seed_from_u64(0));
+    let own: Vec<f64> = (0..53 * 53).map(|_| normal(rng)).collect();
+    let mut calm = vec![0.0; 53 * 53];
+    const IMAGES: u64 = 64;
+    for seed in 0..IMAGES {
+        let image = image_of(corner, &mut ChaCha8Rng::seed_from_u64(seed));
+        for (sum, pixel) in calm.iter_mut().zip(image.pixels()) {
+            *sum += f64::from(*pixel) / IMAGES as f64;
+        }
+    }
+    for (at, pixel) in still.pixels_mut().iter_mut().enumerate() {
+        let (x, y) = (at % 53, at / 53);
+        let (x, y) = (x.clamp(1, 51), y.clamp(1, 51));
+        let shared: f64 =
+            (0..9).map(|k| own[(y + k / 3 - 1) * 53 + x + k % 3 - 1]).sum::<f64>() / 3.0;
+        *pixel = (calm[at] + NOISE * shared).round() as u8;
+    }
+    still
+}
+
+/// Rms error over what is predicted, without and with how far the inner and the outer samples
+/// disagree over all images; and the mean square of that.
+fn honesty(of: impl Fn([f64; 2], &mut ChaCha8Rng) -> GrayImage, images: usize) -> [f64; 3] {
+    let mut rng = ChaCha8Rng::seed_from_u64(11);
+    let truth = [26.3, 25.8];
+    let (mut squares, mut predicted, mut difference) = (0.0, 0.0, 0.0);
+    for _ in 0..images {
+        let found = aligned(&of(truth, &mut rng), truth);
+        squares += found.offset[0].powi(2) + found.offset[1].powi(2);
+        predicted += (found.covariance[0] + found.covariance[2]) * found.mean_square;
+        let [a, b] = found.disagreements.unwrap();
+        difference += (a + b) / found.mean_square / 2.0 / images as f64;
+    }
+    [(squares / predicted).sqrt(), (squares / predicted / difference).sqrt(), difference]
+}
+
+#[test]
+fn noise_that_pixels_share_shows_between_inner_and_outer_samples() {
+    let [ratio, _, difference] = honesty(image_of, 400);
+    assert!(
+        (0.9..1.1).contains(&ratio) && (0.85..1.15).contains(&difference),
+        "{ratio}, {difference}"
+    );
+    let [alone, ratio, difference] = honesty(with_shared_noise, 100);
+    assert!(alone > 2.0 && difference > 3.0, "{alone}, {difference}");
+    assert!((0.7..1.4).contains(&ratio), "{ratio}");
+}
+
 #[test]
 fn an_occluder_is_seen_in_the_residuals() {
     let mut rng = ChaCha8Rng::seed_from_u64(9);

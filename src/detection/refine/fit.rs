@@ -49,7 +49,11 @@ impl CornerFit {
     }
 }
 
-/// Fits from `start`; `None` where the samples do not determine a corner.
+/// Damping that changes a covariance by less than half a percent.
+const HARDLY_DAMPED: f64 = 1e-2;
+
+/// Fits from `start`; `columns` are left as linearized at the last model but for its last step.
+/// `None` where the samples do not determine a corner.
 pub(super) fn fit(
     samples: &Samples,
     start: CornerModel,
@@ -66,8 +70,9 @@ pub(super) fn fit(
     let linearized = Linearized { samples, noise, with_flat: options.with_flat };
     for iteration in 1..=most {
         linearized.at(&model, columns, next);
-        if iteration > 1 && next.residuals.mean_square() > 1.02 * equations.residuals.mean_square()
-        {
+        let is_worse = iteration > 1
+            && next.residuals.mean_square() > 1.02 * equations.residuals.mean_square();
+        if is_worse {
             damping *= 10.0;
         } else {
             damping *= 0.3;
@@ -84,6 +89,12 @@ pub(super) fn fit(
             || iteration == most
         {
             let residuals = equations.residuals;
+            // Damping would make the covariance smaller.
+            let solved =
+                if damping > HARDLY_DAMPED { solve(&equations.products, 0.0)? } else { solved };
+            if is_worse {
+                linearized.at(&best, columns, next);
+            }
             let mean_square = noise.corrected(&residuals, solved.left);
             return Some(CornerFit {
                 model,

@@ -77,12 +77,12 @@ impl OwnLight<'_> {
             let tolerance = self.noise.tolerance + tolerance * amplitude;
             for _ in 0..ROUNDS {
                 let sums = self.linearize(&lit, tolerance, columns);
-                lit = lit.moved_by(&sums.solve(lit.contrast())?.0);
+                lit = lit.moved_by(&sums.solve(&lit)?.0);
             }
         }
         for round in 1..=LAST_ROUNDS {
             let sums = self.linearize(&lit, self.noise.tolerance, columns);
-            let (step, offset_covariance) = sums.solve(lit.contrast())?;
+            let (step, offset_covariance) = sums.solve(&lit)?;
             let moved = lit.moved_by(&step);
             let last_step = f64::hypot(
                 moved.corner.center[0] - lit.corner.center[0],
@@ -203,20 +203,22 @@ impl Default for Sums {
 
 impl Sums {
     /// The step, and the covariance of the two offsets per unit of noise: xx, xy, yy.
-    fn solve(&self, contrast: f64) -> Option<(SVector<f64, UNKNOWNS>, [f64; 3])> {
+    fn solve(&self, lit: &LitCorner) -> Option<(SVector<f64, UNKNOWNS>, [f64; 3])> {
         let product = |row: usize, col: usize| self.products[row.min(col)][row.max(col)];
         let mut normal = SMatrix::<f64, UNKNOWNS, UNKNOWNS>::from_fn(product);
-        let prior = (LIGHT_STD * contrast.max(LEAST_CONTRAST)).powi(-2);
-        for k in 0..TERMS {
+        let mut right = SVector::<f64, UNKNOWNS>::from_fn(|row, _| product(row, UNKNOWNS));
+        let prior = (LIGHT_STD * lit.contrast().max(LEAST_CONTRAST)).powi(-2);
+        for (k, term) in lit.light.iter().enumerate() {
             if k != 0 && k != MEAN_TERMS {
                 normal[(SHAPES + k, SHAPES + k)] += prior;
+                right[SHAPES + k] -= prior * term;
             }
         }
         for k in 0..UNKNOWNS {
             normal[(k, k)] *= 1.0 + 1e-6;
         }
         let factors = normal.cholesky()?;
-        let step = factors.solve(&SVector::from_fn(|row, _| product(row, UNKNOWNS)));
+        let step = factors.solve(&right);
         let (a, b) = (UNKNOWNS - 2, UNKNOWNS - 1);
         let mut covariance = SMatrix::<f64, UNKNOWNS, 2>::zeros();
         (covariance[(a, 0)], covariance[(b, 1)]) = (1.0, 1.0);
