@@ -39,12 +39,13 @@ pub(in crate::detection) fn no_board(
     evidence: &SearchEvidence,
 ) -> NoBoard {
     let (view, thresholds) = (probe.image, &probe.thresholds.reasons);
-    let range = brightness_range(view);
-    if range < thresholds.least_range {
-        return NoBoard::LowContrast { range };
-    }
     if let Some((cols, rows)) = evidence.other {
         return NoBoard::OtherSize { cols, rows, board };
+    }
+    // A small board hardly changes how brightness is spread over the image.
+    let range = brightness_range(view);
+    if range < thresholds.least_range && evidence.largest < thresholds.least_grid {
+        return NoBoard::LowContrast { range };
     }
     // A board across half of the image has squares of this size.
     let squares = 2 * (board.cols.max(board.rows) + 1);

@@ -33,6 +33,7 @@ impl TargetDetector {
             candidates: &candidates.found,
             neighborhood,
             sheets,
+            most_crossings: usize::MAX,
             thresholds: &thresholds.lattice,
         };
         let lattice = &thresholds.lattice;
