@@ -95,7 +95,12 @@ async fn a_rig_goes_on_without_the_camera_that_does_not() {
     assert!((10..=11).contains(&seen(&record, 1)), "{}", seen(&record, 1));
     let ended = fleet.stop_session(&id).await.unwrap();
     assert_eq!(ended.state, SessionState::Failed, "{ended:?}");
-    assert!(ended.reason.unwrap().starts_with("views kept: left 0, right 0; two cameras need"));
+    let why = ended.reason.unwrap();
+    assert!(
+        why.starts_with("it waits for camera `right`: camera 7 was lost: unplugged; "),
+        "{why}"
+    );
+    assert!(why.contains("views kept: left 0, right 0; two cameras need"), "{why}");
     assert!(fleet.camera("left").unwrap().session.is_none());
     let own = fleet.start_session("left", request()).await.unwrap();
     fleet.abort_session(&own.id).await.unwrap();

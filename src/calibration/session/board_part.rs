@@ -17,6 +17,7 @@ use crate::calibration::session::advice::{Advice, Now};
 use crate::calibration::session::approach::Approach;
 use crate::calibration::session::depth_part::{DepthFrame, DepthPart};
 use crate::calibration::session::ending::LEAST_VIEWS;
+use crate::calibration::session::last_rejections::LastRejections;
 use crate::calibration::session::progress::{FrameTime, Obstacle};
 use crate::calibration::session_record::{Finish, SessionMember, SessionRequest};
 use crate::calibration::view::{FrameFacts, View};
@@ -65,6 +66,7 @@ pub struct BoardPart {
     approach: Approach,
     time: FrameTime,
     obstacle: Obstacle,
+    last_rejections: LastRejections,
     going_on: Option<GoingOn>,
     /// What its views let expect of the uncertainty that the newest estimate finds.
     expected_px: Option<f64>,
@@ -115,6 +117,7 @@ impl BoardPart {
             approach: Approach::default(),
             time: FrameTime::default(),
             obstacle: Obstacle::default(),
+            last_rejections: LastRejections::default(),
             going_on: None,
             expected_px: None,
             harder: 1.0,
@@ -159,6 +162,11 @@ impl BoardPart {
     /// What its views teach; `None` before the first frame.
     pub(super) fn teaching(&self) -> Option<&Teaching> {
         self.teaching.as_ref()
+    }
+
+    /// Why most frames became no view, where that is not that they taught nothing new.
+    pub(super) fn why_rejected(&self) -> Option<String> {
+        self.last_rejections.why_most(&self.summary.rejected, self.summary.frames_seen)
     }
 
     /// What the newest frame would teach, or taught; `None` if it does not show the board.
@@ -218,6 +226,7 @@ impl BoardPart {
             self.refuse(&seen.frame, camera_from_board);
         }
         self.obstacle.note(&admission);
+        self.last_rejections.note(&admission);
         if let Err(rejection) = &admission {
             self.summary.rejected.count(rejection);
         }

@@ -122,10 +122,10 @@ impl CameraPart {
             Self::Board(_) if self.has_enough() => Ok(()),
             Self::Board(board) => {
                 let why = match board.summary().rejected.most_frequent() {
-                    Some("other_image_size") => SIZE_CHANGED,
-                    _ => {
-                        "start again and show the board in more positions, tilted in different directions"
-                    }
+                    Some("other_image_size") => SIZE_CHANGED.to_owned(),
+                    _ => board.why_rejected().unwrap_or_else(|| {
+                        "start again and show the board in more positions, tilted in different directions".to_owned()
+                    }),
                 };
                 let kept = board.views().len();
                 Err(format!("{kept} views were kept and at least {LEAST_VIEWS} are needed; {why}"))

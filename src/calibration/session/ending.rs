@@ -22,6 +22,9 @@ use crate::imaging::frame::SensorKind;
 /// calibration", 2000, section 3.3); fewer images of a scene do too.
 pub const LEAST_VIEWS: usize = 3;
 
+/// How a session begins that waits for a camera to say so.
+pub(super) const WAITS: &str = "waits for ";
+
 /// A request that comes too late.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("the session is {} already", state.name())]
@@ -39,7 +42,14 @@ impl SessionRecord {
         now_ns: i64,
     ) -> Result<Vec<Action>, SessionOver> {
         match self.state {
-            SessionState::Collecting => Ok(self.solve_or_fail(enough, now_ns)),
+            SessionState::Collecting => {
+                let waits = self.reason.as_ref().filter(|reason| reason.starts_with(WAITS));
+                let enough = enough.map_err(|why| match waits {
+                    Some(waits) => format!("it {waits}; {why}"),
+                    None => why,
+                });
+                Ok(self.solve_or_fail(enough, now_ns))
+            }
             SessionState::Solving => Ok(Vec::new()),
             state => Err(SessionOver { state }),
         }

@@ -20,6 +20,7 @@ pub mod camera;
 mod depth_part;
 mod ending;
 pub mod gate;
+mod last_rejections;
 mod pairs;
 mod progress;
 mod resume;
@@ -39,6 +40,7 @@ pub use crate::calibration::session::action::{
 };
 use crate::calibration::session::camera::CameraPart;
 pub use crate::calibration::session::depth_part::DepthFrame;
+use crate::calibration::session::ending::WAITS;
 pub use crate::calibration::session::ending::{LEAST_VIEWS, SessionOver};
 use crate::calibration::session::pairs::Pairs;
 use crate::calibration::session::sharing::{Sharing, next_step};
@@ -250,7 +252,7 @@ impl Session {
         } else {
             "the camera".to_owned()
         };
-        let reason = Some(format!("waits for {which}: {reason}"));
+        let reason = Some(format!("{WAITS}{which}: {reason}"));
         if self.record.state != SessionState::Collecting || self.record.reason == reason {
             return Vec::new();
         }
@@ -395,8 +397,15 @@ impl Session {
         let kept: Vec<String> = (self.cameras.iter())
             .map(|camera| format!("{} {}", camera.summary().camera, camera.kept()))
             .collect();
+        let too_few = (self.cameras.iter()).filter(|camera| !is_enough(camera));
+        let why = too_few.filter_map(|camera| {
+            Some(format!("{}: {}", camera.summary().camera, camera.board()?.why_rejected()?))
+        });
+        let why = why.collect::<Vec<_>>().first().cloned().unwrap_or_else(|| {
+            "start again and show the board where two cameras see all of it".to_owned()
+        });
         Err(format!(
-            "views kept: {}; two cameras need at least {LEAST_VIEWS} each: start again and show the board where two cameras see all of it",
+            "views kept: {}; two cameras need at least {LEAST_VIEWS} each; {why}",
             kept.join(", ")
         ))
     }
