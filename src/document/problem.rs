@@ -14,7 +14,7 @@ use crate::estimation::camera::CameraOptions;
 use crate::estimation::problem::{
     BoardShape, BoardView, CameraProblem, Correspondence, GivenParameter, Shutter,
 };
-use crate::geometry::pixel::Pixel;
+use crate::geometry::pixel::{ImageSize, Pixel};
 
 /// Correspondences of one camera and what to do with them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -126,6 +126,11 @@ impl From<Method> for SolveMethod {
     }
 }
 
+/// How far outside the image a pixel may be for noise, and what part of all may be farther as
+/// outliers. Chosen, not swept.
+const NOISE_PX: f64 = 1.0;
+const MOST_OUTSIDE: f64 = 0.05;
+
 /// One image's correspondences: as many pixels as object points.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -147,8 +152,33 @@ impl TryFrom<&ProblemDocument> for CameraProblem {
             return Err(DocumentError::field("views", "is empty; give at least one view"));
         }
         let views = document.views.iter().enumerate().map(|(i, view)| board_view(i, view));
-        Ok(Self { image_size, views: views.collect::<Result<_, _>>()? })
+        let problem = Self { image_size, views: views.collect::<Result<_, _>>()? };
+        check_inside(&problem)?;
+        Ok(problem)
     }
+}
+
+/// Pixels that are farther outside the image than noise puts them: of another size than stated, or
+/// with rows and columns exchanged.
+///
+/// # Errors
+/// [`DocumentError::Field`] where they are more than outliers.
+fn check_inside(problem: &CameraProblem) -> Result<(), DocumentError> {
+    let CameraProblem { image_size: ImageSize { width, height }, views } = problem;
+    let most = [*width, *height].map(|side| f64::from(side) - 0.5 + NOISE_PX);
+    let least = -0.5 - NOISE_PX;
+    let pixels = || views.iter().flat_map(|view| &view.correspondences).map(|it| it.pixel);
+    let is_outside = |p: &Pixel| p.x < least || p.y < least || p.x > most[0] || p.y > most[1];
+    let (outside, all) = (pixels().filter(is_outside).count(), pixels().count());
+    if outside as f64 <= MOST_OUTSIDE * all as f64 {
+        return Ok(());
+    }
+    let largest = pixels().fold([0.0_f64; 2], |[u, v], p| [u.max(p.x), v.max(p.y)]);
+    let problem = format!(
+        "{outside} of {all} pixels are outside an image of {width}x{height} (the largest u is {:.1}, the largest v {:.1}): give its width, then its height, and pixels as [u, v]",
+        largest[0], largest[1]
+    );
+    Err(DocumentError::field("image_size", problem))
 }
 
 fn board_view(index: usize, view: &ProblemViewDocument) -> Result<BoardView, DocumentError> {
@@ -231,6 +261,12 @@ mod tests {
                     r#"{{"image_size":[640,480],"views":[{one},{{"object":[[0,0,0]],"image":[]}}]}}"#
                 ),
                 "views[1].image",
+            ),
+            // Of an image of 480 x 640.
+            (
+                r#"{"image_size":[640,480],"views":[{"object":[[0,0,0]],"image":[[9,600]]}]}"#
+                    .into(),
+                "image_size",
             ),
         ];
         for (json, field) in table {

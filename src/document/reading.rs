@@ -98,7 +98,10 @@ fn in_terms_of_json(problem: &str) -> String {
     let Some((found, wanted)) = parts else { return problem.to_owned() };
     let wanted = match wanted {
         "f64" => "a number",
-        "u8" | "u16" | "u32" | "u64" | "usize" => "a whole number, 0 or more",
+        "u8" => "a whole number from 0 to 255",
+        "u16" => "a whole number from 0 to 65535",
+        "u32" => "a whole number from 0 to 4294967295",
+        "u64" | "usize" => "a whole number, 0 or more",
         "i64" => "a whole number",
         "a sequence" => "an array",
         structure if structure.starts_with("struct ") => "an object",
@@ -180,7 +183,7 @@ mod tests {
             ),
             (
                 r#"{"image_size":[640,-1],"views":[]}"#.into(),
-                "image_size[1]: is `-1`, expected a whole number, 0 or more",
+                "image_size[1]: is `-1`, expected a whole number from 0 to 4294967295",
             ),
             ("".into(), "not JSON at line 1, column 0: nothing there"),
             ("{".into(), "not JSON at line 1, column 1: EOF while parsing an object"),

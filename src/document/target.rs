@@ -153,8 +153,9 @@ impl TryFrom<&TargetDocument> for Target {
         }
         let size = || Ok((needed("cols", document.cols)?, needed("rows", document.rows)?));
         let first_id = document.first_id.unwrap_or(0);
-        let dictionary =
-            |name: &str| Dictionary::named(name).map_err(|error| in_field(&error.into()));
+        let dictionary = |field: &str, name: &str| {
+            Dictionary::named(name).map_err(|error| DocumentError::field(field, error.to_string()))
+        };
         let checked = match document.kind {
             TargetKind::Chessboard => {
                 let (cols, rows) = size()?;
@@ -168,7 +169,10 @@ impl TryFrom<&TargetDocument> for Target {
                     rows,
                     square_m: needed("square_m", document.square_m)?,
                     marker_m: needed("marker_m", document.marker_m)?,
-                    dictionary: dictionary(needed("dictionary", document.dictionary.as_deref())?)?,
+                    dictionary: dictionary(
+                        "dictionary",
+                        needed("dictionary", document.dictionary.as_deref())?,
+                    )?,
                     first_id,
                     legacy: document.legacy,
                 };
@@ -181,7 +185,7 @@ impl TryFrom<&TargetDocument> for Target {
                     rows,
                     tag_m: needed("tag_m", document.tag_m)?,
                     spacing: needed("spacing", document.spacing)?,
-                    family: dictionary(document.family.as_deref().unwrap_or("tag36h11"))?,
+                    family: dictionary("family", document.family.as_deref().unwrap_or("tag36h11"))?,
                     border_bits: document.border_bits,
                     first_id,
                 };
@@ -224,7 +228,6 @@ fn in_field(error: &TargetError) -> DocumentError {
         }
         TargetError::Chessboard(BoardError::Square(_)) => "square_m",
         TargetError::Chessboard(_) | TargetError::Size { .. } => "cols",
-        TargetError::Dictionary(unknown) if unknown.name.starts_with("tag") => "family",
         TargetError::Dictionary(_) => "dictionary",
         TargetError::Length { field, .. } => field,
         TargetError::Marker { .. } => "marker_m",

@@ -23,7 +23,8 @@ pub enum ExportError {
     },
     /// The nearest lens the format has is too far off.
     #[error(
-        "the {format} format has no {model} lens, and its nearest lens is off by up to {worst_px:.2} px; calibrate with --lens {instead}, or export to another format (json holds every lens)"
+        "the {format} format has no {model} lens, and its nearest lens {}; calibrate with --lens {instead}, or export to another format (json holds every lens)",
+        how_far(*worst_px)
     )]
     Refit {
         /// The format.
@@ -148,4 +149,13 @@ pub enum ExportError {
         /// Why.
         reason: String,
     },
+}
+
+/// How far a refitted lens is off.
+fn how_far(worst_px: f64) -> String {
+    if worst_px.is_finite() {
+        format!("is off by up to {worst_px:.2} px")
+    } else {
+        "does not see the whole image".to_owned()
+    }
 }

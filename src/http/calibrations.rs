@@ -298,7 +298,9 @@ fn exported(
         | ExportError::StereoNames { .. }
         | ExportError::StereoOrder { .. }
         | ExportError::Order { .. }
-        | ExportError::StereoPair(StereoPairError::Unknown { .. }) => "sensor",
+        | ExportError::StereoPair(
+            StereoPairError::Unknown { .. } | StereoPairError::NotTwo { several: true, .. },
+        ) => "sensor",
         _ => "format",
     };
     export(&for_asked_images(calibration, parameters)?, format, &options)

@@ -16,7 +16,6 @@ use crate::http::problem::Problem;
 use crate::http::request::{Address, Asked, Parameters, ReadQuery, known_name};
 use crate::http::schemas;
 use crate::http::shared::{Shared, on_a_blocking_thread};
-use crate::imaging::frame::SensorKind;
 use crate::imaging::heat_map::{GridValues, ONE_SIGMA_PX, heat_map_png};
 
 /// Grid columns along the image's longer side, of the numbers and of the image.
@@ -131,12 +130,7 @@ async fn asked(
 ) -> Result<(String, ImageCalibration, Distance), Problem> {
     let distance = parameters.distance_m.map_or(Distance::Infinity, Distance::Meters);
     let found = calibration(shared, id).await?;
-    let of_rig = found.sensors.iter().filter(|sensor| sensor.id.camera.is_some());
-    let images = SensorKind::ALL.into_iter().filter(|kind| kind.is_image());
-    let known: Vec<String> = images
-        .map(|kind| kind.name().to_owned())
-        .chain(of_rig.map(|sensor| found.name_of(&sensor.id)))
-        .collect();
+    let known: Vec<String> = found.image_sensors().map(|(id, _)| found.name_of(id)).collect();
     let asked = parameters.sensor.as_ref();
     known_name("sensor", asked.map(String::as_str), &known)?;
     let mut sensors = found.image_sensors().map(|(id, sensor)| (found.name_of(id), sensor));

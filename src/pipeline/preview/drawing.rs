@@ -149,7 +149,10 @@ fn image_map(
         return maps.rectification(scene.camera, ids, (sensor, alpha)).map(Some);
     }
     match undistorted {
-        true => maps.undistortion(scene.camera, scene.calibration, (sensor, alpha)).map(Some),
+        true => {
+            let ids = [scene.calibration, scene.rig_calibration];
+            maps.undistortion(scene.camera, ids, (sensor, alpha)).map(Some)
+        }
         false => Ok(None),
     }
 }

@@ -47,9 +47,12 @@ pub enum PreviewError {
     },
     /// The camera is in no stereo pair.
     #[error(
-        "camera `{camera}` has no approved calibration of two cameras to rectify {} with{}; run a session of its rig, and approve it",
+        "camera `{camera}`: {} cannot be rectified: {}",
         sensor.name(),
-        reason.as_ref().map_or(String::new(), |reason| format!(" ({reason})"))
+        reason.as_ref().map_or(
+            "no calibration of two cameras with it is approved; run a session of its rig, and approve it".to_owned(),
+            |reason| format!("by the approved calibration: {reason}"),
+        )
     )]
     NotStereo {
         /// The camera's name.

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::calibration::result::Calibration;
 use crate::calibration::sensor::SensorId;
-use crate::calibration::stereo_pair::StereoPair;
+use crate::calibration::stereo_pair::{StereoPair, StereoPairError};
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::SensorKind;
@@ -25,9 +25,8 @@ pub(super) type FlatView = (SensorKind, f64);
 #[derive(Debug)]
 pub(in crate::pipeline) struct CalibrationMaps {
     store: Arc<Store>,
-    /// By calibration and view.
-    undistortions: NewestValues<(String, FlatView), PixelMap>,
-    /// By calibration, camera and view.
+    /// By calibration, camera and view, as the next.
+    undistortions: NewestValues<(String, String, FlatView), PixelMap>,
     rectifications: NewestValues<(String, String, FlatView), PixelMap>,
     registrations: NewestValues<String, Registration>,
 }
@@ -42,26 +41,32 @@ impl CalibrationMaps {
         }
     }
 
-    /// The map that undistorts a sensor's images by the calibration `id`, which is the current one
-    /// of `camera`.
+    /// The map that undistorts a sensor's images by the current calibration of `camera`, or by that
+    /// of its rig, the first of `ids` that has the sensor's lens.
     ///
     /// # Errors
     /// [`PreviewError::NotCalibrated`], [`PreviewError::Store`].
     pub(super) fn undistortion(
         &self,
         camera: &str,
-        id: Option<&str>,
+        ids: [Option<&str>; 2],
         (sensor, alpha): FlatView,
     ) -> Result<Arc<PixelMap>, PreviewError> {
         let none = || PreviewError::NotCalibrated { camera: camera.to_owned(), sensor };
-        let key = (id.ok_or_else(none)?.to_owned(), (sensor, alpha));
-        self.undistortions.get_or_make(&key, || {
-            let calibration = self.store.calibration(&key.0)?.ok_or_else(none)?;
-            let (lens, size) = lens_of(&calibration, sensor).ok_or_else(none)?;
-            let options = UndistortOptions { balance: alpha, size: None };
-            let undistortion = Undistortion::new(lens, size, &options);
-            Ok((key.clone(), undistortion.map))
-        })
+        for id in ids.into_iter().flatten() {
+            let key = (id.to_owned(), camera.to_owned(), (sensor, alpha));
+            let made = self.undistortions.get_or_make(&key, || {
+                let calibration = self.store.calibration(id)?.ok_or_else(none)?;
+                let (lens, size) = lens_of(&calibration, camera, sensor).ok_or_else(none)?;
+                let options = UndistortOptions { balance: alpha, size: None };
+                let undistortion = Undistortion::new(lens, size, &options);
+                Ok((key.clone(), undistortion.map))
+            });
+            if !matches!(made, Err(PreviewError::NotCalibrated { .. })) {
+                return made;
+            }
+        }
+        Err(none())
     }
 
     /// The map that rectifies a sensor's images by the current calibration of the camera's rig, or
@@ -85,7 +90,12 @@ impl CalibrationMaps {
             let made = self.rectifications.get_or_make(&key, || {
                 let calibration = self.store.calibration(id)?.ok_or_else(|| refused(None))?;
                 let stated = |error: &dyn std::fmt::Display| refused(Some(error.to_string()));
-                let pair = StereoPair::of(&calibration, None).map_err(|error| stated(&error))?;
+                let pair = StereoPair::of(&calibration, None).map_err(|error| match &error {
+                    StereoPairError::NotTwo { known, several: true } => refused(Some(format!(
+                        "it has {known}, and images are shown rectified where it has two cameras; export it as ros_stereo for two of them"
+                    ))),
+                    _ => stated(&error),
+                })?;
                 let stereo = pair.rectify(alpha).map_err(|error| stated(&error))?;
                 let is_own = |id: &SensorId| {
                     id.kind == sensor && id.camera.as_deref().is_none_or(|own| own == camera)
@@ -137,11 +147,17 @@ impl CalibrationMaps {
     }
 }
 
-/// The lens of a camera's sensor, and the size of the images it is of.
-fn lens_of(calibration: &Calibration, sensor: SensorKind) -> Option<(&Lens, ImageSize)> {
+/// The lens of a sensor of `camera`, by itself or in a rig, and the size of the images it is of.
+fn lens_of<'a>(
+    calibration: &'a Calibration,
+    camera: &str,
+    sensor: SensorKind,
+) -> Option<(&'a Lens, ImageSize)> {
     if sensor == SensorKind::Depth {
         let depth = &calibration.depth()?.camera;
         return Some((&depth.lens, depth.image_size));
     }
-    calibration.image(sensor).map(|image| (&image.lens, image.image_size))
+    let in_rig = || calibration.sensor(&SensorId::of(camera, sensor))?.as_image();
+    let image = calibration.image(sensor).or_else(in_rig)?;
+    Some((&image.lens, image.image_size))
 }

@@ -339,7 +339,10 @@ mod tests {
         let undistorted = refusal(Drawing { undistorted: true, ..DRAWING });
         assert!(undistorted.contains("no approved calibration of color"), "{undistorted}");
         let rectified = refusal(Drawing { rectified: true, ..DRAWING });
-        assert!(rectified.contains("no approved calibration of two cameras"), "{rectified}");
+        assert!(
+            rectified.contains("no calibration of two cameras with it is approved"),
+            "{rectified}"
+        );
         let registered = refusal(Drawing { registered: true, ..DRAWING });
         assert!(registered.contains("color and depth to register"), "{registered}");
     }
