@@ -171,10 +171,16 @@ const WEAK_M: f64 = 0.005;
 /// Planes alone hardly separate the distance between the sensors along the axis from the focal
 /// length and the quadratic term of depth's error.
 fn weak_place(estimate: &RgbdEstimate) -> Option<String> {
-    let std_mm = 1e3 * PoseStd::of(&estimate.color_from_depth_covariance).translation_m[2];
-    (std_mm > 1e3 * WEAK_M).then(|| {
+    let std_m = PoseStd::of(&estimate.color_from_depth_covariance).translation_m;
+    let [x_mm, y_mm, z_mm] = std_m.map(|std_m| 1e3 * std_m);
+    if x_mm.max(y_mm) > z_mm.max(1e3 * WEAK_M) {
+        return Some(format!(
+            "where the depth camera is beside color's is known to {x_mm:.0} mm along x, {y_mm:.0} along y and {z_mm:.0} along z only: add views with depth, and tilt the board more in them, near and far, or record infrared"
+        ));
+    }
+    (z_mm > 1e3 * WEAK_M).then(|| {
         format!(
-            "how far the depth camera stands back from color's is known to {std_mm:.0} mm only: flat boards alone do not separate it from the focal length and the error of depth; corrected depth still agrees with color: tilt the board more, near and far, or record infrared"
+            "how far the depth camera stands back from color's is known to {z_mm:.0} mm only: flat boards alone do not separate it from the focal length and the error of depth; corrected depth still agrees with color: tilt the board more, near and far, or record infrared"
         )
     })
 }

@@ -30,6 +30,10 @@ const FLAT_DEG: f64 = 15.0;
 /// Tilts that differ less than this in one of two directions leave that direction out.
 const ONE_WAY_DEG: f64 = 7.5;
 
+/// The part of an image that a pinhole lens may be without a ray for: less is a corner's cell.
+/// Chosen, not swept.
+const WITHOUT_RAY: f64 = 0.02;
+
 /// Uncertainties that are this many times as large are worth a word.
 const NOTABLE_WIDENING: f64 = 1.2;
 
@@ -50,6 +54,7 @@ pub(crate) fn judge(
     findings.extend(too_simple_lens(estimate, check));
     findings.extend(canceling_coefficients(estimate, uncertainty));
     let factor = if findings.is_empty() { 1.0 } else { estimate.variance_inflation.sqrt() };
+    findings.extend(without_ray(&estimate.lens, uncertainty));
     findings.extend(self::uncertainty(uncertainty, factor));
     findings.extend(other_spacing(estimate));
     findings.extend(rejected_views(estimate));
@@ -91,8 +96,13 @@ fn uncertainty(map: Option<&UncertaintyMap>, factor: f64) -> Option<Finding> {
         let std_px = map.std_px[row * map.grid.cols as usize + col];
         f64::from(u8::from(std_px.is_some_and(|std_px| std_px > good_px)))
     };
-    let place =
-        region_with_most([map.grid.cols, map.grid.rows].map(|count| count as usize), unknown);
+    let is_worst = |col: usize, row: usize| {
+        let std_px = map.std_px[row * map.grid.cols as usize + col];
+        f64::from(u8::from(std_px == Some(worst_px)))
+    };
+    let counts = [map.grid.cols, map.grid.rows].map(|count| count as usize);
+    let (place, of_worst) = (region_with_most(counts, unknown), region_with_most(counts, is_worst));
+    let there = if of_worst == place { String::new() } else { format!(" in the {of_worst}") };
     let percent = known.beyond_good_percent();
     let remedy = if known.grade_widened(factor) > grade {
         "most of it because the model does not fit: mend that first, then add views there"
@@ -100,9 +110,21 @@ fn uncertainty(map: Option<&UncertaintyMap>, factor: f64) -> Option<Finding> {
         "add views there, near and far, tilted"
     };
     let reason = format!(
-        "projections are uncertain by more than {good_px:.2} px (1 sigma) in {percent:.0} % of the image, most in the {place}, by up to {worst_px:.2} px: {remedy}"
+        "projections are uncertain by more than {good_px:.2} px (1 sigma) in {percent:.0} % of the image, most in the {place}, by up to {worst_px:.2} px{there}: {remedy}"
     );
     Finding::worse_than_good(grade, reason)
+}
+
+/// That the lens sees nothing in part of an image that a lens without a horizon fills.
+fn without_ray(lens: &Lens, map: Option<&UncertaintyMap>) -> Option<Finding> {
+    let std_px = &map.filter(|_| lens.distortion.as_rational().is_some())?.std_px;
+    let unseen = std_px.iter().filter(|std_px| std_px.is_none()).count();
+    let part = unseen as f64 / std_px.len().max(1) as f64;
+    let reason = format!(
+        "in {:.0} % of the image the lens that was found has no ray, and nothing that is said of uncertainty holds there: add views there",
+        100.0 * part
+    );
+    (part > WITHOUT_RAY).then_some(Finding { grade: Grade::Poor, reason })
 }
 
 /// That the model does not fit: first the cause, where it can be determined, then its signs.
@@ -277,10 +299,12 @@ fn known_together(estimate: &CameraEstimate) -> Option<Finding> {
         return Some(Finding { grade: Grade::Good, reason });
     }
     let names = known_only_together(lens, &estimate.lens_std(), estimate.image_size);
+    let which = match names.as_slice() {
+        [one] => format!("{one} of the {} lens is", lens.model()),
+        _ => format!("{} of the {} lens are", names.join(", "), lens.model()),
+    };
     let reason = format!(
-        "{} of the {} lens are known only together, not one by one: use all of them, or none; projections are as certain as stated",
-        names.join(", "),
-        lens.model()
+        "{which} known only together with others, not one by one: use all coefficients, or none; projections are as certain as stated"
     );
     (!names.is_empty()).then_some(Finding { grade: Grade::Good, reason })
 }

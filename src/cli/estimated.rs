@@ -8,6 +8,7 @@ use crate::cli::files::read_calibration;
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::measured_board::MeasuredBoard;
 use crate::estimation::problem::{BoardShape, GivenParameter, Shutter};
+use crate::geometry::lens::{Lens, LensModel};
 use crate::imaging::frame::SensorKind;
 
 /// What is known of the board's shape.
@@ -184,5 +185,9 @@ pub(crate) fn parameter(text: &str) -> Result<GivenParameter, String> {
     let value = value
         .parse()
         .map_err(|_| format!("`{value}` is not a number; write NAME=VALUE, as fx=600"))?;
+    let is_known = |model: &LensModel| Lens::parameter_names(*model).contains(&name);
+    if !LensModel::ALL.iter().any(is_known) {
+        return Err(format!("no lens has a parameter `{name}`; write NAME=VALUE, as fx=600"));
+    }
     Ok(GivenParameter { name: name.to_owned(), value })
 }

@@ -135,9 +135,11 @@ fn and_so_may_the_command_line() {
     };
     check_all(solve);
     let file = written(&folder, &problem(0.0));
-    let refused = plumb(["solve", "--given", "k9=0", file.to_str().unwrap()]);
+    let of_no_lens = plumb(["solve", "--given", "k9=0", file.to_str().unwrap()]);
+    assert_eq!(of_no_lens.code, Some(2));
+    let refused = plumb(["solve", "--given", "k6=0", file.to_str().unwrap()]);
     assert_eq!(refused.code, Some(1));
-    assert!(refused.stderr.contains("k9") && refused.stderr.contains("k3"), "{}", refused.stderr);
+    assert!(refused.stderr.contains("k6") && refused.stderr.contains("k3"), "{}", refused.stderr);
 }
 
 #[test]
