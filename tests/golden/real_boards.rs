@@ -179,6 +179,25 @@ fn no_lens_is_chosen_for_the_views_that_it_gives_up() {
     assert!(estimate.views.iter().all(|view| view.fault.is_none()));
 }
 
+/// A photograph in mirror image, as one of another camera would be: motion while it was read explains
+/// some of it, but no other view moves.
+#[test]
+fn a_mirrored_photograph_is_named_and_not_used() {
+    let Some(views) = sample_views("left") else { return };
+    for index in [2, 3] {
+        let mut views = views.clone();
+        for seen in &mut views[index].correspondences {
+            seen.pixel.x = 639.0 - seen.pixel.x;
+            seen.point_in_board.x = 8.0 * 0.03 - seen.point_in_board.x;
+        }
+        let estimate = solved(views).estimate;
+        let named: Vec<usize> = (0..estimate.views.len())
+            .filter(|view| estimate.views[*view].fault.is_some())
+            .collect();
+        assert_eq!(named, [index]);
+    }
+}
+
 /// These views do not determine eight coefficients one by one; what the lens does is the same as by
 /// five.
 #[test]

@@ -23,6 +23,13 @@ pub(crate) struct Corners {
     pub(crate) limit: f64,
 }
 
+impl Corners {
+    /// The views without a fault.
+    fn good_views(&self) -> Vec<usize> {
+        (0..self.faults.len()).filter(|view| self.faults[*view].is_none()).collect()
+    }
+}
+
 /// What the views say beyond lens and poses.
 pub(crate) struct Effects {
     /// `None` where they show nothing.
@@ -33,6 +40,9 @@ pub(crate) struct Effects {
 
 /// Fewer views than this determine nothing beyond lens and poses.
 const MIN_VIEWS: usize = 3;
+
+/// A quarter of the views is no exception any more. Chosen, not swept.
+const FEW_PART: usize = 4;
 
 /// Rounds of choosing corners anew.
 const MAX_ROUNDS: usize = 4;
@@ -65,14 +75,21 @@ pub(crate) fn fit_effects(
     // Some of the views may be all that saw a part of the board.
     let found = found.filter(|found| found.basis.points == basis.points);
     let start = WalkStart { state: &plain.robust.minimum.state, found };
+    let weighed = start.weighed(Scene { good: &good, ..whole }, wanted, width)?;
+    let mut chosen = Corners {
+        observations: plain.observations.clone(),
+        faults: plain.faults.clone(),
+        limit: plain.robust.limit,
+    };
+    let scene = Scene { good: &good, ..whole };
     let Weighed { walk, without, shutter_doubt } =
-        start.weighed(Scene { good: &good, ..whole }, wanted, width)?;
+        start.without_few(weighed, &mut chosen, (scene, wanted, width))?;
     if walk.variances.0.is_empty() {
         return Some(Effects { found: None, shutter_doubt });
     }
     // Where the shutter counts in part, views that it explains would spoil what is without it.
     let CornersChosen { walk, corners, good } =
-        CornersChosen::beside(walk, plain, whole, wanted, without.is_none())?;
+        CornersChosen::beside(walk, chosen, whole, wanted, without.is_none())?;
     let scene = Scene { observations: &corners.observations, good: &good, ..whole };
     let found = walk.finished(scene)?;
     let Some(WithoutMotion { still, by_rows }) = without else {
@@ -149,6 +166,45 @@ impl WalkStart<'_> {
         };
         Weighed::of(walk, still, scene, width)
     }
+
+    /// `weighed`, but for a rolling shutter that few views alone show: those that do not fit when
+    /// nothing moves, while the others show none. Motion explains some of an image of another
+    /// board or camera too. Their faults are noted in `chosen`.
+    fn without_few(
+        &self,
+        weighed: Weighed,
+        chosen: &mut Corners,
+        (scene, wanted, width): (Scene<'_>, Wanted, f64),
+    ) -> Option<Weighed> {
+        if !weighed.walk.moves() || wanted.motion_for_certain {
+            return Some(weighed);
+        }
+        let settled;
+        let still = match &weighed.without {
+            Some(without) => &without.still,
+            None => {
+                let still = self.settled(scene, Wanted { motion: false, ..wanted });
+                settled = still.or_else(|| EffectSearch::bare(scene, self.state.clone()))?;
+                &settled
+            }
+        };
+        let (mut observations, mut faults) = (chosen.observations.clone(), chosen.faults.clone());
+        let residuals = &still.system.residuals;
+        let limit = LIMIT * scale_of(&observations, residuals).max(ROUNDING);
+        select(&mut observations, residuals, limit, &mut faults);
+        let good: Vec<usize> =
+            scene.good.iter().copied().filter(|view| faults[*view].is_none()).collect();
+        let few = scene.good.len() - good.len();
+        if few == 0 || few > scene.good.len() / FEW_PART || good.len() < MIN_VIEWS {
+            return Some(weighed);
+        }
+        let rest = self.weighed(Scene { good: &good, ..scene }, wanted, width)?;
+        if rest.walk.moves() {
+            return Some(weighed);
+        }
+        chosen.faults = faults;
+        Some(rest)
+    }
 }
 
 /// A walk, and the corners and views that are believed beside it.
@@ -160,22 +216,17 @@ struct CornersChosen {
 
 impl CornersChosen {
     /// Chooses corners by what `walk` leaves of them, and goes on from there, one after the other
-    /// until the choice stays. `None` where too few views are good. With `readmits`, views that the plain fit
-    /// had rejected come back in the first round where the effects explain them. `whole` is the
-    /// scene of the plain fit, without views.
+    /// until the choice stays. `None` where too few views are good. With `readmits`, views that had
+    /// been rejected before come back in the first round where the effects explain them. `whole` is
+    /// the scene of the plain fit, without views.
     fn beside(
         mut walk: EffectSearch,
-        plain: &CameraFit,
+        mut corners: Corners,
         whole: Scene<'_>,
         wanted: Wanted,
         readmits: bool,
     ) -> Option<Self> {
-        let mut corners = Corners {
-            observations: plain.observations.clone(),
-            faults: plain.faults.clone(),
-            limit: plain.robust.limit,
-        };
-        let mut good = plain.good_views();
+        let mut good = corners.good_views();
         for round in 0..MAX_ROUNDS {
             if round > 0 {
                 let scene = Scene { observations: &corners.observations, good: &good, ..whole };
@@ -188,7 +239,7 @@ impl CornersChosen {
             if !select(observations, &residuals, *limit, faults) && !readmitted {
                 break;
             }
-            good = (0..faults.len()).filter(|view| faults[*view].is_none()).collect();
+            good = corners.good_views();
             if good.len() < MIN_VIEWS {
                 return None;
             }
