@@ -43,9 +43,13 @@ pub(super) struct Verified {
 }
 
 impl Verified {
+    /// Whether a change of the lens anywhere in the image would be seen.
+    fn saw_lens(&self) -> bool {
+        self.visible_px.is_some_and(|visible_px| visible_px <= CERTAIN_PX)
+    }
+
     fn answer(&self) -> &'static str {
-        let of_lens = self.visible_px.is_some_and(|visible_px| visible_px <= CERTAIN_PX);
-        match self.depth.as_ref().is_none_or(VerifiedDepth::saw_all) && of_lens {
+        match self.depth.as_ref().is_none_or(VerifiedDepth::saw_all) && self.saw_lens() {
             _ if !self.holds => "does not hold",
             true => "holds",
             false => "holds as far as can be seen",
@@ -88,8 +92,9 @@ pub(super) fn print(verified: &Verified, file: &str, json: bool) -> Result<(), F
     let answer = verified.answer();
     let Verified { moved_px, limit_px, views, depth, reasons, .. } = verified;
     let rms = verified.rms_px.map(|rms_px| format!("rms {rms_px:.3} px, ")).unwrap_or_default();
+    let seen = if verified.saw_lens() { "" } else { " where these images show it" };
     output::print_line(&format!(
-        "{file} {answer}: {views} views, {rms}projections off by {moved_px:.3} px, {limit_px:.3} px allowed"
+        "{file} {answer}: {views} views, {rms}projections off by {moved_px:.3} px{seen}, {limit_px:.3} px allowed"
     ))?;
     let of_depth = depth.as_ref().map(VerifiedDepth::lines).unwrap_or_default();
     of_depth.iter().chain(reasons).try_for_each(|line| output::print_line(&format!("  {line}")))

@@ -21,6 +21,7 @@ use crate::cli::verified::{
 use crate::cli::verify_depth::verify_depth;
 use crate::cli::verify_scene::verify_scene;
 use crate::estimation::camera::{CameraEstimate, CameraOptions, CameraStart, calibrate_camera};
+use crate::estimation::measured_board::MeasuredBoard;
 use crate::estimation::problem::{CameraProblem, GivenParameter, LensChoice};
 use crate::estimation::student::student_deviations;
 use crate::estimation::uncertainty::Distance;
@@ -92,18 +93,14 @@ fn verify(
     sensor: &ImageCalibration,
     problem: &CameraProblem,
 ) -> Result<(Verified, CameraEstimate), Failure> {
-    let model = LensChoice::Model(sensor.lens.model());
-    let given = GivenParameter::all_of(&sensor.lens);
-    let as_calibrated =
-        CameraOptions { lens: model, given, ..CameraOptions::default() }.as_stated();
-    let fixed = calibrate_camera(problem, &as_calibrated).map_err(Failure::failed)?;
-    let start =
-        CameraStart { lens: sensor.lens, camera_from_board: Vec::new(), noise_floor_px: 0.0 };
-    let best = calibrate_camera(
-        problem,
-        &CameraOptions { lens: model, start: Some(start), ..CameraOptions::default() }.as_stated(),
-    );
-    let best = best.ok();
+    let (best, measured_board) = best_fit(sensor, problem);
+    let as_calibrated = CameraOptions {
+        lens: LensChoice::Model(sensor.lens.model()),
+        given: GivenParameter::all_of(&sensor.lens),
+        measured_board,
+        ..CameraOptions::default()
+    };
+    let fixed = calibrate_camera(problem, &as_calibrated.as_stated()).map_err(Failure::failed)?;
     let noise_px = best.as_ref().map_or(sensor.rms_px, |best| best.rms_px);
     let unexplained_px = (fixed.rms_px.powi(2) - noise_px.powi(2)).max(0.0).sqrt();
     let limit_px = (LIMIT_SIGMAS * sensor.uncertainty_px.median).max(LEAST_LIMIT_PX);
@@ -161,6 +158,31 @@ fn verify(
         reasons,
     };
     Ok((verified, fixed))
+}
+
+/// The lens that fits best, of the calibrated one's model, and the board that it was found with: as
+/// the calibration measured it where that fits closer. It may be another board than the one that is
+/// seen now.
+fn best_fit(
+    sensor: &ImageCalibration,
+    problem: &CameraProblem,
+) -> (Option<CameraEstimate>, Option<MeasuredBoard>) {
+    let with = |measured_board: Option<MeasuredBoard>| {
+        let start =
+            CameraStart { lens: sensor.lens, camera_from_board: Vec::new(), noise_floor_px: 0.0 };
+        let options = CameraOptions {
+            lens: LensChoice::Model(sensor.lens.model()),
+            start: Some(start),
+            measured_board,
+            ..CameraOptions::default()
+        };
+        calibrate_camera(problem, &options.as_stated()).ok()
+    };
+    let flat = with(None);
+    let Some(board) = &sensor.board_shape else { return (flat, None) };
+    let measured = with(Some(board.clone()));
+    let rms_px = |it: &Option<CameraEstimate>| it.as_ref().map_or(f64::INFINITY, |it| it.rms_px);
+    if rms_px(&measured) < rms_px(&flat) { (measured, Some(board.clone())) } else { (flat, None) }
 }
 
 /// How many standard deviations of a lens that so many views determined are as rare as
