@@ -143,6 +143,12 @@ fn misfit(estimate: &CameraEstimate, check: &ModelCheck) -> Vec<Finding> {
 }
 
 fn cause(estimate: &CameraEstimate, check: &ModelCheck) -> String {
+    let is_given = estimate.lens_std().first() == Some(&0.0);
+    let given = if is_given {
+        "what was given of the lens may be another camera's: leave it out to see whether these views fit then; else "
+    } else {
+        ""
+    };
     let shutter = check.misfit.rolling_shutter.map(|part| {
         let percent = part * 100.0;
         format!(
@@ -157,10 +163,13 @@ fn cause(estimate: &CameraEstimate, check: &ModelCheck) -> String {
     });
     let known: Vec<String> = shutter.into_iter().chain(uneven).collect();
     if !known.is_empty() {
-        return known.join("; ");
+        return format!("{given}{}", known.join("; "));
     }
     let others =
         "check that the board is flat and held still, and that focus and zoom stay as they are";
+    if is_given {
+        return format!("the cause is unknown: {given}{others}");
+    }
     if estimate.compared.is_empty() {
         return format!("the cause is unknown: let the lens model be chosen (auto); else {others}");
     }
