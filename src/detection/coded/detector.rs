@@ -211,7 +211,7 @@ impl TargetDetector {
                 if starts == self.thresholds.lattice.most_starts {
                     break;
                 }
-                if self.used[first] || !self.start(view, LatticeSearch::Boards, first, usize::MAX) {
+                if self.used[first] || !self.start(view, LatticeSearch::Boards, first) {
                     continue;
                 }
                 starts += 1;
@@ -292,14 +292,13 @@ impl TargetDetector {
         seen: &mut Unlabeled,
     ) -> Option<BoardLabel> {
         let limits = self.thresholds.lattice;
-        let most_crossings = self.sheets.most_crossings();
         let (mut starts, mut read) = (0, 0);
         for place in 0..self.order.len() {
             let first = self.order[place].1;
             if starts == limits.most_starts || read == limits.most_read {
                 break;
             }
-            if self.used[first] || !self.start(view, search, first, most_crossings) {
+            if self.used[first] || !self.start(view, search, first) {
                 continue;
             }
             starts += 1;
@@ -320,8 +319,6 @@ impl TargetDetector {
                 }
                 BoardLabels::Elsewhere(markers) => seen.elsewhere = seen.elsewhere.max(markers),
                 BoardLabels::Two(first, _) => seen.undecided = seen.undecided.max(first.markers),
-                // Of a lattice far larger than the target no mirror makes it.
-                BoardLabels::None if count > most_crossings => {}
                 BoardLabels::None => {
                     seen.mirrored = seen.mirrored.max(self.mirrored_markers(view));
                 }
@@ -342,15 +339,8 @@ impl TargetDetector {
         }
     }
 
-    /// Grows a lattice of up to `most_crossings` from the square at candidate `first` into `grid`;
-    /// false if there is none.
-    fn start(
-        &mut self,
-        view: GrayView<'_>,
-        search: LatticeSearch,
-        first: usize,
-        most_crossings: usize,
-    ) -> bool {
+    /// Grows a lattice from the square at candidate `first` into `grid`; false if there is none.
+    fn start(&mut self, view: GrayView<'_>, search: LatticeSearch, first: usize) -> bool {
         let candidates = &self.candidates.found;
         let longer = view.width().max(view.height()) as f32;
         let reach = match search {
@@ -369,7 +359,6 @@ impl TargetDetector {
             candidates: &self.candidates.found,
             neighborhood: &self.neighborhood,
             sheets: &self.sheets,
-            most_crossings,
             thresholds: &self.thresholds.lattice,
         };
         self.growth.start(scene, &seed, &mut self.grid, &mut self.spare);
@@ -411,7 +400,6 @@ impl TargetDetector {
             candidates: &self.candidates.found,
             neighborhood: &self.neighborhood,
             sheets: &self.sheets,
-            most_crossings: usize::MAX,
             thresholds: &self.thresholds.lattice,
         };
         self.growth.detect_missing(scene, &mut self.grid, &places, COMPLETIONS);

@@ -73,7 +73,6 @@ impl TargetDetector {
                 candidates: &[],
                 neighborhood: &self.neighborhood,
                 sheets: &self.sheets,
-                most_crossings: usize::MAX,
                 thresholds: &self.thresholds.lattice,
             };
             let narrow = self.sheets.widths[0].min(self.sheets.widths[1]);

@@ -28,8 +28,6 @@ pub(super) struct LatticeScene<'a> {
     pub candidates: &'a [Candidate],
     pub neighborhood: &'a Neighborhood,
     pub sheets: &'a Sheets,
-    /// A lattice of more is not grown further.
-    pub most_crossings: usize,
     pub thresholds: &'a LatticeThresholds,
 }
 
@@ -57,7 +55,7 @@ impl LatticeGrowth {
             self.grow(scene, spare, scene.thresholds.trial_crossings);
             if spare.members.len() > scene.thresholds.trial_crossings {
                 spare.forget_attempts();
-                self.grow(scene, spare, scene.most_crossings);
+                self.grow(scene, spare, usize::MAX);
             }
             if spare.members.len() > most {
                 most = spare.members.len();

@@ -33,7 +33,6 @@ impl TargetDetector {
             candidates: &candidates.found,
             neighborhood,
             sheets,
-            most_crossings: usize::MAX,
             thresholds: &thresholds.lattice,
         };
         let lattice = &thresholds.lattice;

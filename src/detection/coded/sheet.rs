@@ -9,11 +9,6 @@ use crate::geometry::target::{AprilGrid, CharucoBoard, Target};
 pub(super) const IN_CODE_CELL: [(f32, f32); 4] =
     [(0.35, 0.5), (0.65, 0.5), (0.5, 0.35), (0.5, 0.65)];
 
-/// Of a lattice with this many times as many crossings as the target has, at most a quarter can be
-/// the target's, and no place of it is believed (`least_on_board`). Not fewer, since a board of
-/// another size is to be named with its own.
-const LARGER: usize = 4;
-
 /// One way in which a target may be printed.
 #[derive(Debug, Clone)]
 pub(super) struct Sheet {
@@ -84,13 +79,6 @@ impl Sheet {
 }
 
 impl Sheets {
-    /// Crossings of a lattice beyond which it is not grown: it is not the target's, and a floor of
-    /// tiles has thousands.
-    pub(super) fn most_crossings(&self) -> usize {
-        let crossings = |way: &Sheet| (way.lines[0] * way.lines[1]) as usize;
-        self.ways.iter().map(crossings).max().unwrap_or(0).saturating_mul(LARGER)
-    }
-
     /// The ways in which `target` may be printed; `None` of a target without markers.
     pub(super) fn of(target: &Target) -> Option<Self> {
         match target {

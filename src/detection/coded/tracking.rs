@@ -157,7 +157,6 @@ impl TargetDetector {
             candidates: &[],
             neighborhood,
             sheets,
-            most_crossings: usize::MAX,
             thresholds: &thresholds.lattice,
         };
         grid.clear(LARGEST_RADIUS, bright);
