@@ -175,7 +175,7 @@ fn weak_place(estimate: &RgbdEstimate) -> Option<String> {
     let [x_mm, y_mm, z_mm] = std_m.map(|std_m| 1e3 * std_m);
     if x_mm.max(y_mm) > z_mm.max(1e3 * WEAK_M) {
         return Some(format!(
-            "where the depth camera is beside color's is known to {x_mm:.0} mm along x, {y_mm:.0} along y and {z_mm:.0} along z only: add views with depth, and tilt the board more in them, near and far, or record infrared"
+            "the place of the depth camera in color's frame is known to {x_mm:.0} mm along x, {y_mm:.0} along y and {z_mm:.0} along z only: add views with depth, and tilt the board more in them, near and far, or record infrared"
         ));
     }
     (z_mm > 1e3 * WEAK_M).then(|| {

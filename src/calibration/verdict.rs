@@ -30,9 +30,9 @@ const FLAT_DEG: f64 = 15.0;
 /// Tilts that differ less than this in one of two directions leave that direction out.
 const ONE_WAY_DEG: f64 = 7.5;
 
-/// The part of an image that a pinhole lens may be without a ray for: less is a corner's cell.
-/// Chosen, not swept.
-const WITHOUT_RAY: f64 = 0.02;
+/// The part of an image for which a pinhole lens that was found well has no ray, and one that is
+/// usable: the image's corners alone are less than the first. Chosen, not swept.
+const WITHOUT_RAY: [f64; 2] = [0.05, 0.25];
 
 /// Uncertainties that are this many times as large are worth a word.
 const NOTABLE_WIDENING: f64 = 1.2;
@@ -124,7 +124,7 @@ fn without_ray(lens: &Lens, map: Option<&UncertaintyMap>) -> Option<Finding> {
         "in {:.0} % of the image the lens that was found has no ray, and nothing that is said of uncertainty holds there: add views there",
         100.0 * part
     );
-    (part > WITHOUT_RAY).then_some(Finding { grade: Grade::Poor, reason })
+    Finding::worse_than_good(Grade::of_figure(part, WITHOUT_RAY), reason)
 }
 
 /// That the model does not fit: first the cause, where it can be determined, then its signs.
@@ -144,11 +144,6 @@ fn misfit(estimate: &CameraEstimate, check: &ModelCheck) -> Vec<Finding> {
 
 fn cause(estimate: &CameraEstimate, check: &ModelCheck) -> String {
     let is_given = estimate.lens_std().first() == Some(&0.0);
-    let given = if is_given {
-        "what was given of the lens may be another camera's: leave it out to see whether these views fit then; else "
-    } else {
-        ""
-    };
     let shutter = check.misfit.rolling_shutter.map(|part| {
         let percent = part * 100.0;
         format!(
@@ -163,12 +158,15 @@ fn cause(estimate: &CameraEstimate, check: &ModelCheck) -> String {
     });
     let known: Vec<String> = shutter.into_iter().chain(uneven).collect();
     if !known.is_empty() {
-        return format!("{given}{}", known.join("; "));
+        let or = if is_given { "; or what was given of the lens is another camera's" } else { "" };
+        return known.join("; ") + or;
     }
     let others =
         "check that the board is flat and held still, and that focus and zoom stay as they are";
     if is_given {
-        return format!("the cause is unknown: {given}{others}");
+        return format!(
+            "the cause is unknown: what was given of the lens may be another camera's, leave it out to see whether these views fit then; else {others}"
+        );
     }
     if estimate.compared.is_empty() {
         return format!("the cause is unknown: let the lens model be chosen (auto); else {others}");

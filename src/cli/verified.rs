@@ -43,7 +43,7 @@ pub(super) struct Verified {
 }
 
 impl Verified {
-    /// Whether a change of the lens anywhere in the image would be seen.
+    /// Whether a change of the lens in half of the image would be seen.
     fn saw_lens(&self) -> bool {
         self.visible_px.is_some_and(|visible_px| visible_px <= CERTAIN_PX)
     }

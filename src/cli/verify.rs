@@ -94,13 +94,8 @@ fn verify(
     problem: &CameraProblem,
 ) -> Result<(Verified, CameraEstimate), Failure> {
     let (best, measured_board) = best_fit(sensor, problem);
-    let as_calibrated = CameraOptions {
-        lens: LensChoice::Model(sensor.lens.model()),
-        given: GivenParameter::all_of(&sensor.lens),
-        measured_board,
-        ..CameraOptions::default()
-    };
-    let fixed = calibrate_camera(problem, &as_calibrated.as_stated()).map_err(Failure::failed)?;
+    let options = as_calibrated(sensor, measured_board);
+    let fixed = calibrate_camera(problem, &options).map_err(Failure::failed)?;
     let noise_px = best.as_ref().map_or(sensor.rms_px, |best| best.rms_px);
     let unexplained_px = (fixed.rms_px.powi(2) - noise_px.powi(2)).max(0.0).sqrt();
     let limit_px = (LIMIT_SIGMAS * sensor.uncertainty_px.median).max(LEAST_LIMIT_PX);
@@ -160,6 +155,20 @@ fn verify(
     Ok((verified, fixed))
 }
 
+/// With the calibrated lens, and the board as it was measured where that is given.
+fn as_calibrated(
+    sensor: &ImageCalibration,
+    measured_board: Option<MeasuredBoard>,
+) -> CameraOptions {
+    let options = CameraOptions {
+        lens: LensChoice::Model(sensor.lens.model()),
+        given: GivenParameter::all_of(&sensor.lens),
+        measured_board,
+        ..CameraOptions::default()
+    };
+    options.as_stated()
+}
+
 /// The lens that fits best, of the calibrated one's model, and the board that it was found with: as
 /// the calibration measured it where that fits closer. It may be another board than the one that is
 /// seen now.
@@ -181,8 +190,18 @@ fn best_fit(
     let flat = with(None);
     let Some(board) = &sensor.board_shape else { return (flat, None) };
     let measured = with(Some(board.clone()));
-    let rms_px = |it: &Option<CameraEstimate>| it.as_ref().map_or(f64::INFINITY, |it| it.rms_px);
-    if rms_px(&measured) < rms_px(&flat) { (measured, Some(board.clone())) } else { (flat, None) }
+    // Views that determine no lens are compared with the calibrated one.
+    let rms_px = |best: &Option<CameraEstimate>, board: Option<&MeasuredBoard>| match best {
+        Some(best) => best.rms_px,
+        None => calibrate_camera(problem, &as_calibrated(sensor, board.cloned()))
+            .map_or(f64::INFINITY, |fixed| fixed.rms_px),
+    };
+    let are_alike = flat.is_some() == measured.is_some();
+    if are_alike && rms_px(&measured, Some(board)) < rms_px(&flat, None) {
+        (measured, Some(board.clone()))
+    } else {
+        (flat, None)
+    }
 }
 
 /// How many standard deviations of a lens that so many views determined are as rare as

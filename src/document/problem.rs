@@ -130,6 +130,8 @@ impl From<Method> for SolveMethod {
 /// outliers. Chosen, not swept.
 const NOISE_PX: f64 = 1.0;
 const MOST_OUTSIDE: f64 = 0.05;
+/// As many are taken as outliers however few there are.
+const ALWAYS_OUTSIDE: usize = 2;
 
 /// One image's correspondences: as many pixels as object points.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -153,7 +155,10 @@ impl TryFrom<&ProblemDocument> for CameraProblem {
         }
         let views = document.views.iter().enumerate().map(|(i, view)| board_view(i, view));
         let problem = Self { image_size, views: views.collect::<Result<_, _>>()? };
-        check_inside(&problem)?;
+        // A projection matrix has no image size.
+        if document.method == Method::Calibrate {
+            check_inside(&problem)?;
+        }
         Ok(problem)
     }
 }
@@ -170,13 +175,18 @@ fn check_inside(problem: &CameraProblem) -> Result<(), DocumentError> {
     let pixels = || views.iter().flat_map(|view| &view.correspondences).map(|it| it.pixel);
     let is_outside = |p: &Pixel| p.x < least || p.y < least || p.x > most[0] || p.y > most[1];
     let (outside, all) = (pixels().filter(is_outside).count(), pixels().count());
-    if outside as f64 <= MOST_OUTSIDE * all as f64 {
+    if outside <= ALWAYS_OUTSIDE.max((MOST_OUTSIDE * all as f64) as usize) {
         return Ok(());
     }
-    let largest = pixels().fold([0.0_f64; 2], |[u, v], p| [u.max(p.x), v.max(p.y)]);
+    let range = |of: fn(Pixel) -> f64| {
+        let least = pixels().map(of).fold(f64::INFINITY, f64::min);
+        let most = pixels().map(of).fold(f64::NEG_INFINITY, f64::max);
+        format!("from {least:.1} to {most:.1}")
+    };
     let problem = format!(
-        "{outside} of {all} pixels are outside an image of {width}x{height} (the largest u is {:.1}, the largest v {:.1}): give its width, then its height, and pixels as [u, v]",
-        largest[0], largest[1]
+        "{outside} of {all} pixels are outside an image of {width}x{height} (u {}, v {}): give its width, then its height, and pixels as [u, v] from its upper left one",
+        range(|p| p.x),
+        range(|p| p.y)
     );
     Err(DocumentError::field("image_size", problem))
 }
@@ -251,6 +261,25 @@ mod tests {
     }
 
     #[test]
+    fn a_few_pixels_outside_the_image_are_outliers() {
+        let solved_as = |method: &str, outside: usize| {
+            let image: Vec<[f64; 2]> =
+                (0..100).map(|k| if k < outside { [640.6, 5.0] } else { [639.0, 5.0] }).collect();
+            let object = vec![[0.0; 3]; 100];
+            let problem = serde_json::json!({
+                "image_size": [640, 480], "method": method,
+                "views": [{ "object": object, "image": image }],
+            });
+            let document: ProblemDocument = from_json(problem.to_string().as_bytes()).unwrap();
+            CameraProblem::try_from(&document)
+        };
+        assert!(solved_as("calibrate", 5).is_ok());
+        assert!(solved_as("dlt", 100).is_ok());
+        let refused = solved_as("calibrate", 6).unwrap_err().to_string();
+        assert!(refused.contains("6 of 100 pixels are outside"), "{refused}");
+    }
+
+    #[test]
     fn impossible_problems_are_refused_by_field() {
         let one = r#"{"object":[[0,0,0]],"image":[[1,2]]}"#;
         let table = [
@@ -264,8 +293,7 @@ mod tests {
             ),
             // Of an image of 480 x 640.
             (
-                r#"{"image_size":[640,480],"views":[{"object":[[0,0,0]],"image":[[9,600]]}]}"#
-                    .into(),
+                r#"{"image_size":[640,480],"views":[{"object":[[0,0,0],[1,0,0],[1,1,0]],"image":[[9,600],[9,610],[9,620]]}]}"#.into(),
                 "image_size",
             ),
         ];

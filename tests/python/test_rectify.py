@@ -265,7 +265,7 @@ def test_live_images_of_a_calibrated_rig_are_rectified(plumb_binary, tmp_path):
         next(data for kind, data in events if kind == "session" and "has ended" in (data["reason"] or ""))
         with pytest.raises(urllib.error.HTTPError) as early:
             frame(plumb, "left")
-        assert early.value.code == 409 and "no approved calibration of two cameras" in early.value.read().decode()
+        assert early.value.code == 409 and "no calibration of two cameras with it is approved" in early.value.read().decode()
         finished = plumb.ask(f"/v1/sessions/{session['id']}/stop", {})
         assert finished["state"] == "finished", finished["reason"]
         plumb.ask(f"/v1/calibrations/{finished['calibration']}/approve", {})

@@ -123,9 +123,12 @@ impl CameraPart {
             Self::Board(board) => {
                 let why = match board.summary().rejected.most_frequent() {
                     Some("other_image_size") => SIZE_CHANGED.to_owned(),
-                    _ => board.why_rejected().unwrap_or_else(|| {
-                        "start again and show the board in more positions, tilted in different directions".to_owned()
-                    }),
+                    _ => {
+                        let why = board.why_rejected().map_or(String::new(), |why| why + "; ");
+                        format!(
+                            "{why}start again and show the board in more positions, tilted in different directions"
+                        )
+                    }
                 };
                 let kept = board.views().len();
                 Err(format!("{kept} views were kept and at least {LEAST_VIEWS} are needed; {why}"))

@@ -22,7 +22,7 @@ use crate::imaging::frame::SensorKind;
 /// calibration", 2000, section 3.3); fewer images of a scene do too.
 pub const LEAST_VIEWS: usize = 3;
 
-/// How a session begins that waits for a camera to say so.
+/// How the reason of a session that waits for a camera begins.
 pub(super) const WAITS: &str = "waits for ";
 
 /// A request that comes too late.

@@ -18,10 +18,10 @@ impl LastRejections {
         }
     }
 
-    /// What the kind that rejected most frames says; `None` where that only is that views were not
-    /// new, or where it is not known since the session was resumed.
+    /// What the kind that rejected more than half of `frames` says; `None` where there is none, where
+    /// it only says that views were not new, or where it is not known since the session was resumed.
     pub(super) fn why_most(&self, rejected: &Rejections, frames: u64) -> Option<String> {
-        let kind = rejected.most_frequent()?;
+        let kind = rejected.most_frequent().filter(|kind| 2 * rejected.of(kind) > frames)?;
         let last = self.by_kind.get(kind).filter(|last| !last.is_known_already())?;
         Some(format!("{} of {frames} frames: {last}", rejected.of(kind)))
     }
@@ -43,9 +43,10 @@ mod tests {
             rejected.count(&rejection);
             last.note(&Err(rejection));
         }
-        let why = last.why_most(&rejected, 4).unwrap();
-        assert!(why.starts_with("2 of 4 frames: no board: a 9x6 board is seen, not 9x7"), "{why}");
-        for _ in 0..2 {
+        assert_eq!(last.why_most(&rejected, 4), None);
+        let why = last.why_most(&rejected, 3).unwrap();
+        assert!(why.starts_with("2 of 3 frames: no board: a 9x6 board is seen, not 9x7"), "{why}");
+        for _ in 0..3 {
             rejected.count(&Rejection::TooSimilar { view: 0 });
         }
         assert_eq!(last.why_most(&rejected, 6), None);

@@ -401,11 +401,9 @@ impl Session {
         let why = too_few.filter_map(|camera| {
             Some(format!("{}: {}", camera.summary().camera, camera.board()?.why_rejected()?))
         });
-        let why = why.collect::<Vec<_>>().first().cloned().unwrap_or_else(|| {
-            "start again and show the board where two cameras see all of it".to_owned()
-        });
+        let why = { why }.next().map_or(String::new(), |why| why + "; ");
         Err(format!(
-            "views kept: {}; two cameras need at least {LEAST_VIEWS} each; {why}",
+            "views kept: {}; two cameras need at least {LEAST_VIEWS} each; {why}start again and show the board where two cameras see all of it",
             kept.join(", ")
         ))
     }

@@ -49,7 +49,7 @@ impl CornerFit {
     }
 }
 
-/// Damping that changes a covariance by less than half a percent.
+/// Damping from which on a covariance is taken without it: chosen, not swept.
 const HARDLY_DAMPED: f64 = 1e-2;
 
 /// Fits from `start`; `columns` are left as linearized at the last model but for its last step.
@@ -89,9 +89,10 @@ pub(super) fn fit(
             || iteration == most
         {
             let residuals = equations.residuals;
-            // Damping would make the covariance smaller.
-            let solved =
-                if damping > HARDLY_DAMPED { solve(&equations.products, 0.0)? } else { solved };
+            // Damping makes the covariance smaller.
+            let undamped = (damping > HARDLY_DAMPED).then(|| solve(&equations.products, 0.0));
+            let last_covariance =
+                undamped.flatten().map_or(solved.last_covariance, |it| it.last_covariance);
             if is_worse {
                 linearized.at(&best, columns, next);
             }
@@ -101,7 +102,7 @@ pub(super) fn fit(
                 residuals,
                 mean_square,
                 residual_rms: (mean_square * noise.variance()).sqrt(),
-                covariance: position_covariance(solved.last_covariance, &model),
+                covariance: position_covariance(last_covariance, &model),
                 last_step,
             });
         }

@@ -41,7 +41,7 @@ impl SteppedFit {
         if mean_square <= STEPPED * expected {
             return None;
         }
-        let order = highest_order(self.pairs.len(), order);
+        let order = highest_order(samples.len(), order);
         for _ in 0..ROUNDS {
             let typical = self.typical_square(samples, &field)?;
             let mut sums = FieldSums::default();

@@ -41,7 +41,7 @@ pub(crate) struct Effects {
 /// Fewer views than this determine nothing beyond lens and poses.
 const MIN_VIEWS: usize = 3;
 
-/// A quarter of the views is no exception any more. Chosen, not swept.
+/// Up to this part of the views, one in so many, are exceptions. Chosen, not swept.
 const FEW_PART: usize = 4;
 
 /// Rounds of choosing corners anew.
@@ -184,7 +184,9 @@ impl WalkStart<'_> {
             Some(without) => &without.still,
             None => {
                 let still = self.settled(scene, Wanted { motion: false, ..wanted });
-                settled = still.or_else(|| EffectSearch::bare(scene, self.state.clone()))?;
+                let bare = || EffectSearch::bare(scene, self.state.clone());
+                let Some(still) = still.or_else(bare) else { return Some(weighed) };
+                settled = still;
                 &settled
             }
         };
@@ -198,9 +200,12 @@ impl WalkStart<'_> {
         if few == 0 || few > scene.good.len() / FEW_PART || good.len() < MIN_VIEWS {
             return Some(weighed);
         }
-        let rest = self.weighed(Scene { good: &good, ..scene }, wanted, width)?;
-        if rest.walk.moves() {
-            return Some(weighed);
+        // Where the others show no effect at all there is no fit beside effects to go on from.
+        let rest = self.weighed(Scene { good: &good, ..scene }, wanted, width);
+        let is_still = |it: &Weighed| !it.walk.moves() && !it.walk.variances.0.is_empty();
+        let Some(rest) = rest.filter(is_still) else { return Some(weighed) };
+        for view in scene.good.iter().filter(|view| faults[**view].is_some()) {
+            chosen.observations[*view].used.fill(false);
         }
         chosen.faults = faults;
         Some(rest)

@@ -94,6 +94,7 @@ impl CalibrationMaps {
                     StereoPairError::NotTwo { known, several: true } => refused(Some(format!(
                         "it has {known}, and images are shown rectified where it has two cameras; export it as ros_stereo for two of them"
                     ))),
+                    StereoPairError::NotTwo { several: false, .. } => refused(None),
                     _ => stated(&error),
                 })?;
                 let stereo = pair.rectify(alpha).map_err(|error| stated(&error))?;
