@@ -148,7 +148,7 @@ fn what_determines_no_lens_is_refused_by_name() {
     fs::write(&words, b"no image at all").unwrap();
     assert_refused(&autocalibrate(&[], &[same[0].clone(), same[1].clone(), words]), "words.png");
     let other_lens = autocalibrate(&["--lens", "pinhole", "--given", "k1=1"], &same);
-    assert_refused(&other_lens, "k1: the pinhole lens has no such parameter");
+    assert_refused(&other_lens, "a pinhole lens has no parameter `k1`");
 }
 
 #[test]
