@@ -44,13 +44,13 @@ mod tests {
             last.note(&Err(rejection));
         }
         assert_eq!(last.why_most(&rejected, 4), None);
+        // As after a restart.
+        assert_eq!(LastRejections::default().why_most(&rejected, 3), None);
         let why = last.why_most(&rejected, 3).unwrap();
         assert!(why.starts_with("2 of 3 frames: no board: a 9x6 board is seen, not 9x7"), "{why}");
         for _ in 0..3 {
             rejected.count(&Rejection::TooSimilar { view: 0 });
         }
         assert_eq!(last.why_most(&rejected, 6), None);
-        // As after a restart.
-        assert_eq!(LastRejections::default().why_most(&rejected, 6), None);
     }
 }

@@ -9,7 +9,8 @@ use crate::detection::refine::field_sums::{FieldSums, Solution, TERMS, highest_o
 use crate::geometry::median::{STD_PER_MAD, median_of};
 
 /// There are steps where a smooth field leaves this many times the mean square that differences
-/// between neighbors let expect.
+/// between neighbors let expect: chosen, not swept; light with noise alone did not reach it once in
+/// the 500 fields of the test.
 const STEPPED: f64 = 4.0;
 /// Weighted least squares, from the median slope on (chosen, not swept).
 const ROUNDS: usize = 4;
