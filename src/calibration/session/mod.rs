@@ -27,6 +27,7 @@ mod resume;
 mod scene_part;
 mod sharing;
 mod together;
+mod unread_depth;
 
 use crate::calibration::admission::{AdmissionOptions, Rejection};
 use crate::calibration::guidance::Guidance;
