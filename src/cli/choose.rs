@@ -25,6 +25,9 @@ pub struct ChooseArgs {
     order: bool,
 }
 
+/// An image that lowers the uncertainty by a smaller part teaches nothing that shows in a result.
+const SEEN_GAIN: f64 = 0.005;
+
 /// A problem's images: its views, and the others with their places.
 pub type ViewsAndOthers = (CameraProblem, Vec<(usize, CalibratedView)>);
 
@@ -115,13 +118,10 @@ fn chosen_images(
             images.push(Ok(view));
             continue;
         }
-        let reason = estimate.views[at].fault.map_or_else(
-            || {
-                let gain = 1.0 - pool.uncertainty_px(&[chosen, &[at]].concat()) / together_px;
-                format!("not chosen: it would lower the uncertainty by {:.0} %", 100.0 * gain)
-            },
-            |fault| fault.to_string(),
-        );
+        let with_it = || pool.uncertainty_px(&[chosen, &[at]].concat());
+        let reason = estimate.views[at]
+            .fault
+            .map_or_else(|| not_chosen(1.0 - with_it() / together_px), |fault| fault.to_string());
         images.push(Err(unused(view.name, &reason)));
     }
     for (place, other) in others {
@@ -135,6 +135,18 @@ fn chosen_images(
         }
     }
     (CameraProblem { views, ..problem }, left)
+}
+
+/// Why an image was left out that would lower the uncertainty by this part. That is what its
+/// corners say where all images err alike: of one that fits worse the solve with it says more.
+fn not_chosen(gain: f64) -> String {
+    if gain < SEEN_GAIN {
+        return "not chosen: it teaches nothing beside the chosen ones".to_owned();
+    }
+    format!(
+        "not chosen: if it fits as well as the others, it lowers the uncertainty by {:.0} %",
+        100.0 * gain
+    )
 }
 
 /// Prints the order of a problem's images. All of them together leave what their calibration
@@ -166,11 +178,12 @@ fn print_order(problem: &CameraProblem, solved: &SolvedCamera, json: bool) -> Re
     let mut lines: Vec<String> = (document.order.iter().enumerate())
         .map(|(place, taught)| {
             let TaughtDocument { name, uncertainty_px, gain } = taught;
-            let percent = 100.0 * gain;
-            format!(
-                "{:>4} {uncertainty_px:>10.3} px at worst {percent:>5.1} % less  {name}",
-                place + 1
-            )
+            let less = if *gain < SEEN_GAIN {
+                "teaches little".to_owned()
+            } else {
+                format!("{:.1} % less", 100.0 * gain)
+            };
+            format!("{:>4} {uncertainty_px:>10.3} px at worst {less:>14}  {name}", place + 1)
         })
         .collect();
     lines.extend(document.next.map(|next| {
