@@ -42,17 +42,19 @@ impl SessionRecord {
         now_ns: i64,
     ) -> Result<Vec<Action>, SessionOver> {
         match self.state {
-            SessionState::Collecting => {
-                let waits = self.reason.as_ref().filter(|reason| reason.starts_with(WAITS));
-                let enough = enough.map_err(|why| match waits {
-                    Some(waits) => format!("it {waits}; {why}"),
-                    None => why,
-                });
-                Ok(self.solve_or_fail(enough, now_ns))
-            }
+            SessionState::Collecting => Ok(self.solve_or_fail(self.as_it_waits(enough), now_ns)),
             SessionState::Solving => Ok(Vec::new()),
             state => Err(SessionOver { state }),
         }
+    }
+
+    /// `enough`; where it is not, first which camera the session waits for.
+    pub(super) fn as_it_waits(&self, enough: Result<(), String>) -> Result<(), String> {
+        let waits = self.reason.as_ref().filter(|reason| reason.starts_with(WAITS));
+        enough.map_err(|why| match waits {
+            Some(waits) => format!("it {waits}; {why}"),
+            None => why,
+        })
     }
 
     /// By request: gives it up.

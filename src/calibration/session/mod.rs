@@ -421,7 +421,8 @@ impl Session {
         if !(self.record.is_time_up() || (placed && reached())) {
             return Vec::new();
         }
-        let enough = self.enough().map_err(|why| format!("the time is up: {why}"));
+        let enough = self.record.as_it_waits(self.enough());
+        let enough = enough.map_err(|why| format!("the time is up: {why}"));
         self.record.solve_or_fail_by_itself(enough)
     }
 

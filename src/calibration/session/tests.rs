@@ -229,6 +229,13 @@ fn time_is_that_of_the_frames_and_ends_it() {
             .unwrap()
             .starts_with("the time is up: 0 views were kept and at least 3")
     );
+
+    let mut lost = session(finish);
+    lost.camera_lost(0, "camera 7 was lost: unplugged");
+    assert_eq!(lost.waited(10.1), [Action::Close]);
+    let reason = lost.record().reason.clone().unwrap();
+    let waits = "the time is up: it waits for the camera: camera 7 was lost: unplugged; 0 views";
+    assert!(reason.starts_with(waits), "{reason}");
 }
 
 #[test]
