@@ -7,6 +7,7 @@ use crate::calibration::target::CalibrationTarget;
 use crate::document::error::DocumentError;
 use crate::geometry::board::{BoardError, Chessboard};
 use crate::geometry::dictionary::Dictionary;
+use crate::geometry::physical::SQUARE_M;
 use crate::geometry::target::{AprilGrid, CharucoBoard, Target, TargetError, chessboard};
 
 /// What kind of target it is.
@@ -230,12 +231,29 @@ fn in_field(error: &TargetError) -> DocumentError {
         TargetError::Chessboard(_) | TargetError::Size { .. } => "cols",
         TargetError::Dictionary(_) => "dictionary",
         TargetError::Length { field, .. } => field,
-        TargetError::Marker { .. } => "marker_m",
+        TargetError::Marker { .. } | TargetError::TinyMarker { .. } => "marker_m",
         TargetError::Spacing { .. } => "spacing",
         TargetError::Ids { .. } => "first_id",
         TargetError::Border { .. } => "border_bits",
     };
-    DocumentError::field(field, error.to_string())
+    let problem = match in_millimeters(error) {
+        Some(millimeters) => format!(
+            "{millimeters} m is no side of what is printed: lengths here are in meters; did you mean {}?",
+            millimeters / 1000.0
+        ),
+        None => error.to_string(),
+    };
+    DocumentError::field(field, problem)
+}
+
+/// The length that was refused, where it is one if it was meant in millimeters.
+fn in_millimeters(error: &TargetError) -> Option<f64> {
+    let value = match error {
+        TargetError::Chessboard(BoardError::Square(refused)) => refused.value,
+        TargetError::Length { value, .. } => *value,
+        _ => return None,
+    };
+    (value > *SQUARE_M.range.end() && SQUARE_M.range.contains(&(value / 1000.0))).then_some(value)
 }
 
 #[cfg(test)]
@@ -255,6 +273,23 @@ mod tests {
                 ..TargetDocument::of_size(TargetKind::Chessboard, cols, rows)
             };
             assert_eq!(Target::try_from(&document).unwrap_err().path(), Some(field));
+        }
+    }
+
+    #[test]
+    fn millimeters_for_meters_are_named() {
+        for (kind, field) in
+            [(TargetKind::Chessboard, "square_m"), (TargetKind::AprilGrid, "tag_m")]
+        {
+            let document = TargetDocument {
+                square_m: (kind == TargetKind::Chessboard).then_some(25.0),
+                tag_m: (kind == TargetKind::AprilGrid).then_some(25.0),
+                spacing: (kind == TargetKind::AprilGrid).then_some(0.3),
+                ..TargetDocument::of_size(kind, 9, 6)
+            };
+            let refusal = Target::try_from(&document).unwrap_err();
+            assert_eq!(refusal.path(), Some(field));
+            assert!(refusal.to_string().ends_with("did you mean 0.025?"), "{refusal}");
         }
     }
 

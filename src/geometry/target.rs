@@ -106,6 +106,16 @@ pub enum TargetError {
         /// The square's side.
         square_m: f64,
     },
+    /// The markers are specks in their squares.
+    #[error(
+        "a marker of {marker_m} m is less than a fifth of its square of {square_m} m: give both sides in meters, the marker's with its black border, as they measure on the board"
+    )]
+    TinyMarker {
+        /// The marker's side.
+        marker_m: f64,
+        /// The square's side.
+        square_m: f64,
+    },
     /// A gap that no such grid has.
     #[error(
         "a spacing of {spacing} cannot be used: give the gap between two tags over a tag's side, 0.05 to 1"
@@ -163,8 +173,11 @@ impl CharucoBoard {
         }
         check_length("square_m", square_m)?;
         check_length("marker_m", marker_m)?;
-        if marker_m >= square_m || marker_m < 0.2 * square_m {
+        if marker_m >= square_m {
             return Err(TargetError::Marker { marker_m, square_m });
+        }
+        if marker_m < 0.2 * square_m {
+            return Err(TargetError::TinyMarker { marker_m, square_m });
         }
         let most = [false, true].map(|legacy| self.markers(legacy).len());
         let needed = self.legacy.map_or(most[0].min(most[1]), |legacy| most[usize::from(legacy)]);
@@ -431,6 +444,7 @@ mod tests {
         };
         assert_eq!(charuco().check(), Ok(()));
         assert!(said(|b| b.marker_m = 0.04).contains("does not fit into a square"));
+        assert!(said(|b| b.marker_m = 1e-4).contains("less than a fifth of its square"));
         assert!(said(|b| b.first_id = 40).contains("40 to 63, but DICT_4X4_50 has 0 to 49"));
         assert!(said(|b| b.cols = 2).contains("give 3 to 50"));
         assert!(said(|b| b.square_m = f64::NAN).contains("square_m"));
