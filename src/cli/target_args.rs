@@ -1,5 +1,6 @@
 //! Which target to search for, as arguments.
 
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use crate::cli::Failure;
@@ -113,7 +114,11 @@ impl ShapeArgs {
 pub fn read_target(path: &Path) -> Result<Target, Failure> {
     let name = path.display();
     let text = std::fs::read_to_string(path).map_err(|error| {
-        Failure::failed(format!("{name}: cannot be read ({error}); check the path"))
+        let remedy = match error.kind() {
+            ErrorKind::InvalidData => "save it as UTF-8",
+            _ => "check the path",
+        };
+        Failure::failed(format!("{name}: cannot be read ({error}); {remedy}"))
     })?;
     target_from_text(&text).map_err(|error| Failure::usage(format!("{name}: {error}")))
 }

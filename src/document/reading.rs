@@ -7,6 +7,9 @@ use serde_json::error::Category;
 use crate::document::error::DocumentError;
 use crate::document::objects_only::ObjectsOnly;
 
+/// What some editors begin UTF-8 text with; it is no part of the text.
+pub(super) const BYTE_ORDER_MARK: &str = "\u{feff}";
+
 /// Reads a document.
 ///
 /// # Errors
@@ -14,6 +17,8 @@ use crate::document::objects_only::ObjectsOnly;
 /// shape (an array is no object), or holds what JSON has no number for (`NaN`, `Infinity`, 1e999);
 /// [`DocumentError::Syntax`] when the text is not JSON at all.
 pub fn from_json<T: DeserializeOwned>(json: &[u8]) -> Result<T, DocumentError> {
+    // RFC 8259, section 8.1: nobody should write it, and a reader may ignore it.
+    let json = json.strip_prefix(BYTE_ORDER_MARK.as_bytes()).unwrap_or(json);
     let mut reader = serde_json::Deserializer::from_slice(json);
     let document = serde_path_to_error::deserialize(ObjectsOnly(&mut reader)).map_err(|e| {
         let path = e.path().to_string();

@@ -1,7 +1,7 @@
 //! A target from a file: the contract's object as JSON or TOML, or Kalibr's YAML.
 
 use crate::document::error::DocumentError;
-use crate::document::reading::{from_json, to_json_pretty};
+use crate::document::reading::{BYTE_ORDER_MARK, from_json, to_json_pretty};
 use crate::document::target::{TargetDocument, TargetKind};
 use crate::geometry::target::Target;
 
@@ -10,10 +10,12 @@ use crate::geometry::target::Target;
 /// # Errors
 /// [`DocumentError`] names the field that is missing, unknown or impossible.
 pub fn target_from_text(text: &str) -> Result<Target, DocumentError> {
-    let document = if text.trim_start().starts_with('{') {
-        from_json(text.as_bytes())?
-    } else if text.lines().any(|line| line.trim_start().starts_with("target_type")) {
+    let text = text.strip_prefix(BYTE_ORDER_MARK).unwrap_or(text);
+    let begins = |entry: &str| entry.trim_start().trim_matches(QUOTES).starts_with("target_type");
+    let document = if entries(text).any(begins) {
         from_kalibr(text)?
+    } else if text.trim_start().starts_with('{') {
+        from_json(text.as_bytes())?
     } else {
         from_toml(text)?
     };
@@ -37,18 +39,26 @@ fn from_toml(text: &str) -> Result<TargetDocument, DocumentError> {
     })
 }
 
-/// Kalibr's `target.yaml`: plain `key: value` lines.
+const QUOTES: [char; 2] = ['\'', '"'];
+
+/// The `key: value` entries of YAML that has no others: on lines of their own, or within braces on
+/// one line. A `#` begins a comment.
+fn entries(text: &str) -> impl Iterator<Item = &str> {
+    let lines = text.lines().map(|line| line.split('#').next().unwrap_or_default());
+    lines.flat_map(|line| line.split(['{', '}', ','])).map(str::trim)
+}
+
+/// Kalibr's `target.yaml`.
 fn from_kalibr(text: &str) -> Result<TargetDocument, DocumentError> {
     let (mut kind, mut cols, mut rows) = (None, None, None);
     let mut read = TargetDocument::of_size(TargetKind::AprilGrid, 0, 0);
-    for line in text.lines() {
-        let line = line.split('#').next().unwrap_or_default().trim();
-        let Some((key, value)) = line.split_once(':') else { continue };
-        let value = value.trim().trim_matches(['\'', '"']);
+    for entry in entries(text) {
+        let Some((key, value)) = entry.split_once(':') else { continue };
+        let [key, value] = [key, value].map(|text| text.trim().trim_matches(QUOTES));
         let wrong = || DocumentError::field(key, format!("`{value}` is not a number"));
         let count = || value.parse::<u32>().map(Some).map_err(|_| wrong());
         let real = || value.parse::<f64>().map(Some).map_err(|_| wrong());
-        match key.trim() {
+        match key {
             "target_type" => kind = Some(kind_of_kalibr(value)?),
             "tagCols" | "targetCols" => cols = count()?,
             "tagRows" | "targetRows" => rows = count()?,
@@ -111,6 +121,12 @@ mod tests {
         assert_eq!(target.to_string(), "6x5 AprilGrid (tag36h11)");
         assert_eq!(target_from_text(toml), Ok(target));
         assert_eq!(target_from_text(yaml), Ok(target));
+        let on_one_line = "{target_type: aprilgrid, \"tagCols\": 6, tagRows: 5,\n\
+                           tagSize: 0.088, tagSpacing: 0.3} # as YAML may be written\n";
+        assert_eq!(target_from_text(on_one_line), Ok(target));
+        for text in [json, toml, yaml] {
+            assert_eq!(target_from_text(&format!("{BYTE_ORDER_MARK}{text}")), Ok(target));
+        }
         let written = target_to_json(&target).expect("JSON");
         assert_eq!(target_from_text(&written), Ok(target));
     }
