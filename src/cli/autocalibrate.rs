@@ -15,6 +15,7 @@ use crate::cli::search_args::check_sources;
 use crate::cli::sources::FrameSets;
 use crate::cli::{Failure, output, progress};
 use crate::document::scene::SceneCalibrationDocument;
+use crate::estimation::given_range::check_given_range;
 use crate::estimation::problem::GivenParameter;
 use crate::export::colmap_scene::{ColmapScene, colmap_scene};
 use crate::geometry::lens::Lens;
@@ -76,6 +77,9 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     }
     let frame_sets = || FrameSets::new(args.sources.iter().cloned());
     let SceneImages { images, depth, nominal_focal } = scene_images(frame_sets, threads)?;
+    if let Some(image) = images.first() {
+        check_given_range(args.lens.into(), &args.given, image.size).map_err(Failure::usage)?;
+    }
     let options = SceneOptions {
         lens: args.lens.into(),
         given: args.given.clone(),

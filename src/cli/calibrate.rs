@@ -19,6 +19,7 @@ use crate::cli::sources::is_recording;
 use crate::cli::target_args::TargetArgs;
 use crate::cli::{Failure, progress};
 use crate::estimation::camera::CameraOptions;
+use crate::estimation::given_range::check_given_range;
 use crate::geometry::target::Target;
 use crate::imaging::frame::SensorKind;
 
@@ -88,6 +89,7 @@ fn solve(
     images: ViewsAndOthers,
     options: &CameraOptions,
 ) -> Result<(), Failure> {
+    check_given_range(options.lens, &options.given, images.0.image_size).map_err(Failure::usage)?;
     let picked = args.choose.pick(images, options, args.output.is_json())?;
     let Some(((problem, others), options)) = picked else { return Ok(()) };
     let spinner = progress::spinner("solving");

@@ -20,6 +20,7 @@ use crate::detection::board_detection::{DetectOptions, Detection, NoBoard};
 use crate::detection::finder::TargetFinder;
 use crate::document::sensors_file::SensorsFile;
 use crate::estimation::camera::CameraOptions;
+use crate::estimation::given_range::check_given_range;
 use crate::estimation::problem::{Correspondence, LensChoice};
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::target::Target;
@@ -67,7 +68,11 @@ pub fn calibrate(
         gathered.add(&frames)?;
     }
     spinner.finish_and_clear();
-    let observations = InstrumentObservations::of_camera(Some(target), gathered.finish(depth)?);
+    let gathered = gathered.finish(depth)?;
+    if let Some(size) = gathered.image_size(SensorKind::Color) {
+        check_given_range(options.lens, &options.given, size).map_err(Failure::usage)?;
+    }
+    let observations = InstrumentObservations::of_camera(Some(target), gathered);
     let options = SolveOptions { camera: options.clone(), ..SolveOptions::default() };
     let spinner = progress::spinner("solving");
     let started = Instant::now();

@@ -10,6 +10,7 @@ use crate::cli::estimated::EstimatedArgs;
 use crate::cli::files::read_document;
 use crate::cli::lens_name::LensName;
 use crate::document::problem::{Method, ProblemDocument};
+use crate::estimation::given_range::check_given_range;
 use crate::estimation::problem::{CameraProblem, LensChoice};
 
 /// Calibrates a camera from given correspondences of points and pixels.
@@ -53,6 +54,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     options.lens = args.lens.map_or(options.lens, LensChoice::from);
     args.estimated.check_no_lens()?;
     args.estimated.add_to(&mut options)?;
+    check_given_range(options.lens, &options.given, problem.image_size).map_err(Failure::usage)?;
     let started = Instant::now();
     let method = document.method.into();
     let options = SolveOptions { camera: options, method, ..SolveOptions::default() };

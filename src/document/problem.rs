@@ -11,6 +11,7 @@ use crate::document::error::DocumentError;
 use crate::document::image_sensor::image_size;
 use crate::document::lens_model::LensRequest;
 use crate::estimation::camera::CameraOptions;
+use crate::estimation::given_range::check_given_range;
 use crate::estimation::problem::{
     BoardShape, BoardView, CameraProblem, Correspondence, GivenParameter, Shutter,
 };
@@ -159,6 +160,9 @@ impl TryFrom<&ProblemDocument> for CameraProblem {
         if document.method == Method::Calibrate {
             check_inside(&problem)?;
         }
+        let CameraOptions { lens, given, .. } = document.options();
+        check_given_range(lens, &given, image_size)
+            .map_err(|error| DocumentError::field("given", error.to_string()))?;
         Ok(problem)
     }
 }

@@ -56,6 +56,24 @@ pub enum EstimationError {
         /// What was given.
         value: f64,
     },
+    /// A given parameter that no lens has for images of this size.
+    #[error(
+        "{name} cannot be {value} px for {size} images, only {:.0} to {:.0} px: {why}; give it in pixels of these images",
+        range[0],
+        range[1]
+    )]
+    GivenRange {
+        /// Its name.
+        name: String,
+        /// What was given.
+        value: f64,
+        /// The images' size.
+        size: crate::geometry::pixel::ImageSize,
+        /// From where to where it may be.
+        range: [f64; 2],
+        /// Why no further.
+        why: &'static str,
+    },
     /// Not enough views to determine the lens.
     #[error(
         "{usable} usable views are too few: {needed} are needed, with the board tilted differently in each{rejected}"

@@ -35,6 +35,9 @@ impl BadFiles {
         };
         files.write("nan.json", point("[1,NaN]").as_bytes());
         files.write("few.json", point("[1,2]").as_bytes());
+        files.write("marked.json", format!("\u{feff}{}", point("[1,2]")).as_bytes());
+        let telescope = point("[1,2]").replace("\"views\"", "\"given\":{\"fx\":1e9},\"views\"");
+        files.write("telescope.json", telescope.as_bytes());
         files.write("fields.json", br#"{"image_size":[640,480],"views":[{"object":[[0,0,0]]}]}"#);
         files.write("size.json", br#"{"image_size":[0,480],"views":[]}"#);
         files.write("syntax.json", br#"{"image_size":[640,480],"#);
@@ -143,6 +146,9 @@ const TABLE: &[(&str, i32, &[&str])] = &[
     ("solve @gone.json", 1, &["gone.json", "cannot be read"]),
     ("solve @nan.json", 1, &["nan.json", "views[0].image[0][1]", "NaN", "finite"]),
     ("solve @few.json", 1, &["few.json", "view"]),
+    ("solve @marked.json", 1, &["marked.json", "view"]),
+    ("solve @telescope.json", 1, &["telescope.json: given: fx", "0.1 degrees", "640x480"]),
+    ("solve --given cx=9999 @few.json", 2, &["cx cannot be 9999 px", "-640 to 1280 px"]),
     ("solve @fields.json", 1, &["fields.json", "views[0].image", "missing"]),
     ("solve @size.json", 1, &["size.json", "image_size"]),
     ("solve @syntax.json", 1, &["syntax.json", "not JSON at line 1"]),

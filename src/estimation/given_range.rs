@@ -1,0 +1,82 @@
+//! Which values may be given for images of a size: a focal length that shows some of the world and
+//! no more than the lens can, and a principal point in the image or not far beside it.
+
+use std::f64::consts::PI;
+
+use crate::estimation::error::EstimationError;
+use crate::estimation::problem::{GivenParameter, LensChoice};
+use crate::geometry::lens::LensModel;
+use crate::geometry::pixel::ImageSize;
+
+/// The least that the longer side of an image shows, in degrees: a tenth of what the longest lenses
+/// of photographers show, about that of a telescope.
+const LEAST_DEGREES: f64 = 0.1;
+/// A lens that projects to a plane shows less than half of the world, 180 degrees.
+const MOST_DEGREES: f64 = 179.0;
+
+/// Whether a lens for images of `size` may have the values that are `given`. What is no value of a
+/// lens at all is left to [`crate::estimation::camera::check_given`].
+///
+/// # Errors
+/// [`EstimationError::GivenRange`].
+pub fn check_given_range(
+    lens: LensChoice,
+    given: &[GivenParameter],
+    size: ImageSize,
+) -> Result<(), EstimationError> {
+    for GivenParameter { name, value } in given {
+        let (range, why) = match name.as_str() {
+            "fx" | "fy" if *value > 0.0 => (focal_range(lens, size), FOCAL),
+            "cx" => (principal_range(size.width), PRINCIPAL),
+            "cy" => (principal_range(size.height), PRINCIPAL),
+            _ => continue,
+        };
+        if value.is_finite() && !(range[0]..=range[1]).contains(value) {
+            let name = name.clone();
+            return Err(EstimationError::GivenRange { name, value: *value, size, range, why });
+        }
+    }
+    Ok(())
+}
+
+const FOCAL: &str = "beyond these they would show less than 0.1 degrees, or more than a lens can";
+const PRINCIPAL: &str = "the principal point lies in them, or at most their size beside them where they are parts of larger ones";
+
+/// By what the longer side of the image shows: a fisheye sees all around at most.
+fn focal_range(lens: LensChoice, size: ImageSize) -> [f64; 2] {
+    let half_px = 0.5 * f64::from(size.width.max(size.height));
+    let focal_px = |degrees: f64| half_px / (0.5 * degrees.to_radians()).tan();
+    let least_px = match lens {
+        LensChoice::Model(LensModel::KannalaBrandt) => half_px / PI,
+        _ => focal_px(MOST_DEGREES),
+    };
+    [least_px, focal_px(LEAST_DEGREES)]
+}
+
+/// An image may be a part of a larger one: its own size beside it are three of it.
+fn principal_range(pixels: u32) -> [f64; 2] {
+    [-f64::from(pixels), 2.0 * f64::from(pixels)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_shows_hardly_anything_or_lies_far_outside_is_refused() {
+        let size = ImageSize { width: 640, height: 480 };
+        let check = |lens, name: &str, value| {
+            check_given_range(lens, &[GivenParameter { name: name.to_owned(), value }], size)
+        };
+        let fisheye = LensChoice::Model(LensModel::KannalaBrandt);
+        for (name, value) in [("fx", 20.0), ("fy", 3e5), ("cx", 900.0), ("cy", -400.0), ("k1", 1e9)]
+        {
+            assert_eq!(check(LensChoice::Auto, name, value), Ok(()), "{name}={value}");
+        }
+        for (name, value) in [("fx", 1e9), ("fy", 2.0), ("cx", 9999.0), ("cy", -481.0)] {
+            let line = check(LensChoice::Auto, name, value).unwrap_err().to_string();
+            assert!(line.contains(name) && line.contains("640x480"), "{line}");
+        }
+        assert!(check(fisheye, "fx", 20.0).is_err() && check(fisheye, "fx", 110.0).is_ok());
+    }
+}
