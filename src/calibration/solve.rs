@@ -89,8 +89,8 @@ impl SolvedCamera {
     }
 }
 
-/// Columns of the grid that uncertainty is summed up over.
-const UNCERTAINTY_COLUMNS: u32 = 12;
+/// Columns of the grid that uncertainty is summed up over, wherever it is stated.
+pub const UNCERTAINTY_COLUMNS: u32 = 12;
 
 /// Calibrates a camera from `problem`, checks the result, and says how far to trust it.
 ///

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::calibration::solve::sensor_uncertainty;
+use crate::calibration::solve::{UNCERTAINTY_COLUMNS, sensor_uncertainty};
 use crate::cli::files::{check_not_read, read_calibration, write_file};
 use crate::cli::length::Length;
 use crate::cli::{Failure, output};
@@ -32,7 +32,7 @@ pub struct Args {
 }
 
 /// Columns of the numbers' grid and of the image's, along the image's longer side.
-const COLUMNS: [u32; 2] = [13, 49];
+const COLUMNS: [u32; 2] = [UNCERTAINTY_COLUMNS, 49];
 
 /// Runs the command.
 ///

@@ -14,8 +14,6 @@ pub(super) const LEAST_LIMIT_PX: f64 = 0.1;
 /// A change of the lens that shows only from more than this on, in pixels, is as good as not seen:
 /// chosen, as overlays and depth registration are off by a visible amount from a pixel on.
 pub(super) const CERTAIN_PX: f64 = 1.0;
-/// Columns of the grid that uncertainty is summed up over.
-pub(super) const COLUMNS: u32 = 12;
 
 /// The answer.
 #[derive(Debug, Serialize)]

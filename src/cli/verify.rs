@@ -8,16 +8,14 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use crate::calibration::result::ImageCalibration;
-use crate::calibration::solve::uncertainty_map;
+use crate::calibration::solve::{UNCERTAINTY_COLUMNS, uncertainty_map};
 use crate::cli::Failure;
 use crate::cli::files::{image_sensor, read_calibration};
 use crate::cli::gather::gather;
 use crate::cli::lens_change::LensChange;
 use crate::cli::search_args::SearchArgs;
 use crate::cli::target_args::ShapeOrSceneArgs;
-use crate::cli::verified::{
-    CERTAIN_PX, COLUMNS, LEAST_LIMIT_PX, LIMIT_SIGMAS, Verified, print, same_size,
-};
+use crate::cli::verified::{CERTAIN_PX, LEAST_LIMIT_PX, LIMIT_SIGMAS, Verified, print, same_size};
 use crate::cli::verify_depth::verify_depth;
 use crate::cli::verify_scene::verify_scene;
 use crate::estimation::camera::{CameraEstimate, CameraOptions, CameraStart, calibrate_camera};
@@ -100,7 +98,7 @@ fn verify(
     let unexplained_px = (fixed.rms_px.powi(2) - noise_px.powi(2)).max(0.0).sqrt();
     let limit_px = (LIMIT_SIGMAS * sensor.uncertainty_px.median).max(LEAST_LIMIT_PX);
     let change = best.as_ref().and_then(|best| {
-        let uncertainty = uncertainty_map(best, COLUMNS, Distance::Infinity)?;
+        let uncertainty = uncertainty_map(best, UNCERTAINTY_COLUMNS, Distance::Infinity)?;
         let used = best.views.iter().filter(|view| view.fault.is_none()).count();
         LensChange::between(&sensor.lens, &best.lens, &uncertainty, sigmas(used))
     });

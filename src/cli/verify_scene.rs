@@ -3,14 +3,12 @@
 
 use crate::calibration::result::ImageCalibration;
 use crate::calibration::scene::{SceneOptions, calibrate_scene};
-use crate::calibration::solve::sensor_uncertainty;
+use crate::calibration::solve::{UNCERTAINTY_COLUMNS, sensor_uncertainty};
 use crate::cli::lens_change::LensChange;
 use crate::cli::scene_images::scene_images;
 use crate::cli::search_args::SearchArgs;
 use crate::cli::sources::FrameSets;
-use crate::cli::verified::{
-    CERTAIN_PX, COLUMNS, LEAST_LIMIT_PX, LIMIT_SIGMAS, Verified, same_size,
-};
+use crate::cli::verified::{CERTAIN_PX, LEAST_LIMIT_PX, LIMIT_SIGMAS, Verified, same_size};
 use crate::cli::{Failure, progress};
 use crate::estimation::problem::LensChoice;
 use crate::estimation::uncertainty::Distance;
@@ -44,7 +42,7 @@ pub(super) fn verify_scene(
 
 /// The comparison of two lenses, each with its uncertainty; `None` where no projection is known.
 fn compared(calibrated: &ImageCalibration, scene: &ImageCalibration) -> Option<Verified> {
-    let uncertainty = sensor_uncertainty(scene, COLUMNS, Distance::Infinity)?;
+    let uncertainty = sensor_uncertainty(scene, UNCERTAINTY_COLUMNS, Distance::Infinity)?;
     let LensChange { seen_px: moved_px, visible_px: scene_px } =
         LensChange::between(&calibrated.lens, &scene.lens, &uncertainty, LIMIT_SIGMAS)?;
     let calibrated_px = LIMIT_SIGMAS * calibrated.uncertainty_px.median;

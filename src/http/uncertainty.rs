@@ -8,7 +8,7 @@ use axum::http::header::CONTENT_TYPE;
 use axum::response::IntoResponse;
 
 use crate::calibration::result::ImageCalibration;
-use crate::calibration::solve::sensor_uncertainty;
+use crate::calibration::solve::{UNCERTAINTY_COLUMNS, sensor_uncertainty};
 use crate::document::uncertainty::UncertaintyMapDocument;
 use crate::estimation::uncertainty::{Distance, UncertaintyMap};
 use crate::http::calibrations::calibration;
@@ -19,7 +19,7 @@ use crate::http::shared::{Shared, on_a_blocking_thread};
 use crate::imaging::heat_map::{GridValues, ONE_SIGMA_PX, heat_map_png};
 
 /// Grid columns along the image's longer side, of the numbers and of the image.
-const COLUMNS: [u32; 2] = [13, 49];
+const COLUMNS: [u32; 2] = [UNCERTAINTY_COLUMNS, 49];
 
 /// What is asked about, and at which distance.
 #[derive(utoipa::IntoParams)]
