@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::calibration::placement::Placement;
+use crate::calibration::rounded::in_differing_digits;
 use crate::calibration::view::FrameFacts;
 use crate::detection::board_detection::{Detection, NoBoard};
 use crate::geometry::pixel::ImageSize;
@@ -41,7 +42,11 @@ pub enum Rejection {
         expected: usize,
     },
     /// The board's edges are too soft for exact corners.
-    #[error("blurred: edges are {blur_px:.1} px wide, at most {limit_px:.1} px can be used")]
+    #[error(
+        "blurred: edges are {} px wide, at most {} px can be used",
+        in_differing_digits([*blur_px, *limit_px], 1)[0],
+        in_differing_digits([*blur_px, *limit_px], 1)[1]
+    )]
     Blurred {
         /// Width of the board's edges, as a Gaussian's standard deviation in pixels.
         blur_px: f64,
@@ -64,9 +69,9 @@ pub enum Rejection {
     },
     /// It would teach too little beside the session's views.
     #[error(
-        "nothing new: projections would be {:.1} % surer, a view is kept for {:.1} %; hold the board as asked for",
-        100.0 * gain,
-        100.0 * needed
+        "nothing new: projections would be {} % surer, a view is kept for {} %; hold the board as asked for",
+        in_differing_digits([100.0 * gain, 100.0 * needed], 1)[0],
+        in_differing_digits([100.0 * gain, 100.0 * needed], 1)[1]
     )]
     TeachesLittle {
         /// How much surer projections would be with it, 0 to 1.

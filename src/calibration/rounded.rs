@@ -11,12 +11,27 @@ pub fn value_with_std(value: f64, std: f64) -> String {
     format!("{value:.decimals$} ± {std:.decimals$}")
 }
 
+/// Two values to `decimals` places, or to as many more as it takes for them to differ.
+pub fn in_differing_digits(values: [f64; 2], decimals: usize) -> [String; 2] {
+    let rounded = |decimals: usize| values.map(|value| format!("{value:.decimals$}"));
+    let mut places = decimals..MAX_DECIMALS as usize;
+    let differing = places.find(|decimals| rounded(*decimals)[0] != rounded(*decimals)[1]);
+    rounded(differing.unwrap_or(decimals))
+}
+
 /// Beyond this, a double's own rounding is all that would be shown.
 const MAX_DECIMALS: i32 = 12;
 
 #[cfg(test)]
 mod tests {
-    use super::value_with_std;
+    use super::{in_differing_digits, value_with_std};
+
+    #[test]
+    fn what_is_compared_differs_in_its_digits() {
+        assert_eq!(in_differing_digits([0.231, 0.42], 1), ["0.2", "0.4"]);
+        assert_eq!(in_differing_digits([0.2304, 0.2331], 2), ["0.230", "0.233"]);
+        assert_eq!(in_differing_digits([0.25, 0.25], 1), ["0.2", "0.2"]);
+    }
 
     #[test]
     fn the_deviation_has_two_significant_digits() {

@@ -3,7 +3,7 @@
 use crate::calibration::coverage::Coverage;
 use crate::calibration::known_image::KnownImage;
 use crate::calibration::result::{Finding, Grade, Verdict};
-use crate::calibration::rounded::value_with_std;
+use crate::calibration::rounded::{in_differing_digits, value_with_std};
 use crate::calibration::tag_spacing::TagSpacing;
 use crate::estimation::camera::CameraEstimate;
 use crate::estimation::known_together::known_only_together;
@@ -215,7 +215,12 @@ fn too_simple_lens(estimate: &CameraEstimate, check: &ModelCheck) -> Option<Find
     let off = |px: Option<f64>| {
         px.map_or("more than can be computed".to_owned(), |px| format!("{px:.3} px"))
     };
-    let (own_px, larger_px) = (off(own_px), off(larger_px));
+    let (own_px, larger_px) = match (own_px, larger_px) {
+        (Some(own_px), Some(larger_px)) => {
+            in_differing_digits([own_px, larger_px], 3).map(|px| format!("{px} px")).into()
+        }
+        (own_px, larger_px) => (off(own_px), off(larger_px)),
+    };
     let mut reason = if estimate.compared.is_empty() {
         format!(
             "the lens model {own} is too simple for this lens: {model} is off by {larger_px} on held-out views, {own} by {own_px}, and {model} would give fx {fx:.1}: let the model be chosen (auto), or use {model}"
