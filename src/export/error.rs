@@ -23,7 +23,7 @@ pub enum ExportError {
     },
     /// The nearest lens the format has is too far off.
     #[error(
-        "the {format} format has no {model} lens, and its nearest lens {}; calibrate with --lens {instead}, or export to another format (json holds every lens)",
+        "the {format} format has no {model} lens, and its nearest lens {}; calibrate with --lens brown --given k3=0, which it holds, or with --lens {instead}, or export to another format (json holds every lens)",
         how_far(*worst_px)
     )]
     Refit {
