@@ -118,6 +118,7 @@ pub(super) fn depth_sensor(source: &str) -> Result<DepthSensor, Failure> {
     let stated = SensorsFile::of_folder(Path::new(source)).map_err(Failure::failed)?;
     let (encoding, factory) = match stated {
         Some(stated) => {
+            stated.warn_of_unused(Path::new(source));
             let encoding = stated.depth.encoding().map_err(Failure::failed)?;
             (encoding, stated.depth_factory().map_err(Failure::failed)?)
         }

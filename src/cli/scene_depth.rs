@@ -43,6 +43,7 @@ fn stated_by(source: &str) -> Result<Option<FactoryCalibration>, String> {
     let Some(file) = SensorsFile::of_folder(path).map_err(|error| error.to_string())? else {
         return Ok(None);
     };
+    file.warn_of_unused(path);
     let stated = file.factory(|sensor| recording.image_size(sensor));
     stated.map(Some).map_err(|error| format!("{source}: {error}"))
 }

@@ -1,6 +1,7 @@
 //! From a configured source to what opens it: one arm a kind.
 
 use std::path::Path;
+use std::sync::Once;
 
 use crate::capture::realsense::{self, Origin};
 #[cfg(feature = "ros2")]
@@ -44,7 +45,9 @@ pub fn opener_of(source: &SourceConfig) -> Box<dyn SourceOpener> {
             let pace = if fastest { Pace::Fastest } else { Pace::Recorded };
             let reading = ReadOptions { fps, topics };
             let options = ReplayOptions { pace, repeat, reading };
-            Box::new(move || open_recording(&path, &options))
+            // It is opened again with each session.
+            let first = Once::new();
+            Box::new(move || open_recording(&path, &options, &first))
         }
         SourceConfig::Simulator { seed, size, fps, seat, operator, fastest } => {
             let options =
@@ -99,11 +102,13 @@ pub fn opener_of(source: &SourceConfig) -> Box<dyn SourceOpener> {
 fn open_recording(
     path: &Path,
     options: &ReplayOptions,
+    first: &Once,
 ) -> Result<Box<dyn FrameSource>, CaptureError> {
     let failed = |reason: String| CaptureError::Failed { reason };
     let replay = Replay::open(path, options).map_err(|error| failed(error.to_string()))?;
     let stated = SensorsFile::of_folder(path).map_err(|error| failed(error.to_string()))?;
     let Some(stated) = stated else { return Ok(Box::new(replay)) };
+    first.call_once(|| stated.warn_of_unused(path));
     let factory = stated.factory(|sensor| replay.image_size(sensor));
     let named = |error: DocumentError| error.inside(&path.join(FILE_NAME).display().to_string());
     let factory = factory.map_err(|error| failed(named(error).to_string()))?;

@@ -104,14 +104,17 @@ impl SensorsFile {
                 )));
             }
         };
-        let stated = Self::from_toml(&text).map_err(|error| named(error.to_string()))?;
-        for sensor in stated.unused_lenses() {
+        Self::from_toml(&text).map(Some).map_err(|error| named(error.to_string()))
+    }
+
+    /// Says which lenses the file in `folder` states for nothing.
+    pub fn warn_of_unused(&self, folder: &Path) {
+        for sensor in self.unused_lenses() {
             tracing::warn!(
                 "{}: {sensor}.lens is not used: corners determine it better than a statement",
-                file.display()
+                folder.join(FILE_NAME).display()
             );
         }
-        Ok(Some(stated))
     }
 
     /// What the file states, of sensors with images of these sizes.
