@@ -329,9 +329,9 @@ pub struct SessionViewDocument {
     pub moment: Option<u32>,
     /// The frame's path or sequence number.
     pub name: String,
-    /// When its frame was received.
-    #[schema(value_type = String, format = DateTime)]
-    pub taken_at: jiff::Timestamp,
+    /// When its frame was received; null for an image of a folder, which states no time.
+    #[schema(value_type = Option<String>, format = DateTime)]
+    pub taken_at: Option<jiff::Timestamp>,
     /// How many corners were found.
     pub corners: u32,
     /// The corners in pixels, in the board's order.

@@ -136,7 +136,8 @@ fn view_document(
         camera: view.sensor.camera.clone(),
         moment: view.sensor.camera.is_some().then_some(view.frame_set),
         name,
-        taken_at: time::from_utc_ns(view.frame.host_time_ns),
+        // The times of images with names only count them.
+        taken_at: view.frame.name.is_none().then(|| time::from_utc_ns(view.frame.host_time_ns)),
         corners: corners().count() as u32,
         corners_px: corners().map(|corner| [corner.pixel.x, corner.pixel.y]).collect(),
         indices: corners().map(|corner| [corner.index.col, corner.index.row]).collect(),
