@@ -80,16 +80,16 @@ pub(super) async fn view_image(
     State(shared): State<Arc<Shared>>,
     Address((id, name)): Address<(String, String)>,
 ) -> Result<impl IntoResponse, Problem> {
-    let unknown = || {
-        Problem::not_found(format!(
-            "session {id} has no view `{name}`; see GET /v1/sessions/{id}/views"
-        ))
-    };
-    let number: u32 =
-        name.strip_suffix(".jpg").and_then(|number| number.parse().ok()).ok_or_else(unknown)?;
+    let number = name.strip_suffix(".jpg").and_then(|number| number.parse::<u32>().ok());
     let asked = id.clone();
     let image =
-        shared.stored(move |store| store.picture(&asked, number)).await?.ok_or_else(unknown)?;
+        shared.stored(move |store| number.map_or(Ok(None), |n| store.picture(&asked, n))).await?;
+    let Some(image) = image else {
+        session(&shared, &id).await?;
+        return Err(Problem::not_found(format!(
+            "session {id} has no view `{name}`; see GET /v1/sessions/{id}/views"
+        )));
+    };
     let bytes = if image.media_type == JPEG {
         image.bytes
     } else {
