@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use axum::body::{Body, Bytes};
 use axum::extract::State;
-use axum::http::HeaderMap;
 use axum::http::header::CONTENT_TYPE;
+use axum::http::{HeaderMap, HeaderName, HeaderValue};
 use axum::response::{IntoResponse, Response};
 use futures_util::StreamExt;
 
@@ -67,7 +67,7 @@ impl ReadQuery for DrawingParameters {
 #[utoipa::path(get, path = "/v1/cameras/{camera}/frame.jpg", tag = "cameras",
     params(("camera" = String, Path, description = "its name in the configuration"), DrawingParameters),
     responses(
-        (status = 200, description = "the image", body = Vec<u8>, content_type = "image/jpeg"),
+        (status = 200, description = "the image", body = Vec<u8>, content_type = "image/jpeg", headers(("Plumb-Stale" = String, description = "why the camera gives nothing newer; none while it does"))),
         (status = 404, description = "no such camera, or it has no such sensor", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "no frame yet, or no calibration to undistort or rectify with", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "an unknown sensor, or an alpha that is not from 0 to 1", body = Problem, content_type = "application/problem+json"),
@@ -78,9 +78,16 @@ pub(super) async fn frame(
     Asked(parameters): Asked<DrawingParameters>,
 ) -> Result<Response, Problem> {
     let drawing = drawing(&parameters, false)?;
-    let fleet = Arc::clone(&shared.fleet);
+    let (fleet, stale) = (Arc::clone(&shared.fleet), stale(&shared, &camera));
     let jpeg = on_a_blocking_thread(move || fleet.newest_frame(&camera, drawing)).await??;
-    Ok(([(CONTENT_TYPE, "image/jpeg")], Bytes::from_owner(jpeg)).into_response())
+    Ok((stale, [(CONTENT_TYPE, "image/jpeg")], Bytes::from_owner(jpeg)).into_response())
+}
+
+/// Says of an answer by the newest frame of `camera` why there will be no newer one.
+pub(super) fn stale(shared: &Shared, camera: &str) -> HeaderMap {
+    let reason = shared.fleet.why_nothing_newer(camera);
+    let reason = reason.and_then(|reason| HeaderValue::from_bytes(reason.as_bytes()).ok());
+    reason.map(|reason| (HeaderName::from_static("plumb-stale"), reason)).into_iter().collect()
 }
 
 /// The frames as they come, each drawn over with what was found, as multipart JPEG.

@@ -306,6 +306,14 @@ impl Fleet {
         Ok(image)
     }
 
+    /// Why the camera `name` gives nothing newer than its newest frame; `None` while it does.
+    pub fn why_nothing_newer(&self, name: &str) -> Option<String> {
+        let camera = self.link(name).ok()?;
+        let status = camera.status.borrow();
+        let is_over = matches!(status.state, CameraState::Lost | CameraState::Failed);
+        is_over.then(|| status.reason.clone().unwrap_or_else(|| status.state.name().to_owned()))
+    }
+
     fn newest(&self, name: &str) -> Result<(Arc<LiveCamera>, Arc<LiveFrame>), PreviewError> {
         let camera = self.link(name)?;
         let newest = camera.frames.borrow().clone();
