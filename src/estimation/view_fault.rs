@@ -60,6 +60,23 @@ pub enum ViewFault {
         /// The distance up to which a corner is believed.
         limit_px: f64,
     },
+    /// It fits with a motion alone that the other views rule out.
+    #[error(
+        "it fits only if the board moved{} while it was read: mirrored, of another camera, or moved too fast",
+        against_others(*times)
+    )]
+    OddMotion {
+        /// In root mean squares of what the other views show; infinite where they show no motion.
+        times: f64,
+    },
+}
+
+fn against_others(times: f64) -> String {
+    if times.is_finite() {
+        format!(" {times:.1} times as far as in other views")
+    } else {
+        ", as in no other view,".into()
+    }
 }
 
 /// A line of a chessboard's corners.

@@ -83,7 +83,7 @@ pub(crate) fn fit_effects(
     };
     let scene = Scene { good: &good, ..whole };
     let Weighed { walk, without, shutter_doubt } =
-        start.without_few(weighed, &mut chosen, (scene, wanted, width))?;
+        start.without_exceptions(weighed, &mut chosen, (scene, wanted, width))?;
     if walk.variances.0.is_empty() {
         return Some(Effects { found: None, shutter_doubt });
     }
@@ -154,23 +154,25 @@ impl WalkStart<'_> {
         walk?.settled(scene, wanted)
     }
 
+    /// A walk that settled, with no effects where none are missed.
+    fn settled_or_bare(&self, scene: Scene<'_>, wanted: Wanted) -> Option<EffectSearch> {
+        let bare = || EffectSearch::bare(scene, self.state.clone());
+        self.settled(scene, wanted).or_else(bare)
+    }
+
     /// A walk that settled, its motion weighed against none unless it is wanted for certain.
     fn weighed(&self, scene: Scene<'_>, wanted: Wanted, width: f64) -> Option<Weighed> {
         let walk = self.settled(scene, wanted)?;
         if !walk.moves() || wanted.motion_for_certain {
             return Some(Weighed { walk, without: None, shutter_doubt: None });
         }
-        let still = || {
-            let still = self.settled(scene, Wanted { motion: false, ..wanted });
-            still.or_else(|| EffectSearch::bare(scene, self.state.clone()))
-        };
+        let still = || self.settled_or_bare(scene, Wanted { motion: false, ..wanted });
         Weighed::of(walk, still, scene, width)
     }
 
-    /// `weighed`, but for a rolling shutter that few views alone show: those that do not fit when
-    /// nothing moves, while the others show none. Motion explains some of an image of another
+    /// `weighed`, but for views that are exceptions: motion explains some of an image of another
     /// board or camera too. Their faults are noted in `chosen`.
-    fn without_few(
+    fn without_exceptions(
         &self,
         weighed: Weighed,
         chosen: &mut Corners,
@@ -179,36 +181,97 @@ impl WalkStart<'_> {
         if !weighed.walk.moves() || wanted.motion_for_certain {
             return Some(weighed);
         }
-        let settled;
-        let still = match &weighed.without {
-            Some(without) => &without.still,
-            None => {
-                let still = self.settled(scene, Wanted { motion: false, ..wanted });
-                let bare = || EffectSearch::bare(scene, self.state.clone());
-                let Some(still) = still.or_else(bare) else { return Some(weighed) };
-                settled = still;
-                &settled
-            }
+        let Some(residuals) = self.still_residuals(&weighed, (scene, wanted)) else {
+            return Some(weighed);
         };
+        match self.without_few(&residuals, chosen, (scene, wanted, width)) {
+            Some(rest) => Some(rest),
+            None => self.without_odd(weighed, residuals, chosen, (scene, wanted, width)),
+        }
+    }
+
+    /// What is left of every corner where nothing moves.
+    fn still_residuals(
+        &self,
+        weighed: &Weighed,
+        (scene, wanted): (Scene<'_>, Wanted),
+    ) -> Option<Vec<Vec<[f64; 2]>>> {
+        if let Some(without) = &weighed.without {
+            return Some(without.still.system.residuals.clone());
+        }
+        let still = self.settled_or_bare(scene, Wanted { motion: false, ..wanted })?;
+        Some(still.system.residuals)
+    }
+
+    /// A walk without the views that do not fit where nothing moves, and leave the `residuals`
+    /// there, if the others show no motion.
+    fn without_few(
+        &self,
+        residuals: &[Vec<[f64; 2]>],
+        chosen: &mut Corners,
+        (scene, wanted, width): (Scene<'_>, Wanted, f64),
+    ) -> Option<Weighed> {
         let (mut observations, mut faults) = (chosen.observations.clone(), chosen.faults.clone());
-        let residuals = &still.system.residuals;
         let limit = LIMIT * scale_of(&observations, residuals).max(ROUNDING);
         select(&mut observations, residuals, limit, &mut faults);
         let good: Vec<usize> =
             scene.good.iter().copied().filter(|view| faults[*view].is_none()).collect();
         let few = scene.good.len() - good.len();
         if few == 0 || few > scene.good.len() / FEW_PART || good.len() < MIN_VIEWS {
-            return Some(weighed);
+            return None;
         }
         // Where the others show no effect at all there is no fit beside effects to go on from.
-        let rest = self.weighed(Scene { good: &good, ..scene }, wanted, width);
-        let is_still = |it: &Weighed| !it.walk.moves() && !it.walk.variances.0.is_empty();
-        let Some(rest) = rest.filter(is_still) else { return Some(weighed) };
+        let rest = self.weighed(Scene { good: &good, ..scene }, wanted, width)?;
+        if rest.walk.moves() || rest.walk.variances.0.is_empty() {
+            return None;
+        }
         for view in scene.good.iter().filter(|view| faults[**view].is_some()) {
             chosen.observations[*view].used.fill(false);
         }
         chosen.faults = faults;
         Some(rest)
+    }
+
+    /// `weighed`, but for views that moved as the others rule out, one after the other: each time
+    /// the one that fits worst where nothing moves, which leaves the `residuals`, is asked.
+    fn without_odd(
+        &self,
+        mut weighed: Weighed,
+        mut residuals: Vec<Vec<[f64; 2]>>,
+        chosen: &mut Corners,
+        (scene, wanted, width): (Scene<'_>, Wanted, f64),
+    ) -> Option<Weighed> {
+        let mut good = scene.good.to_vec();
+        // What was found with a view that moved oddly holds on to what that view did to it.
+        let fresh = WalkStart { found: None, ..*self };
+        for _ in 0..scene.good.len() / FEW_PART {
+            let scene = Scene { good: &good, ..scene };
+            let mean_square = |view: usize| {
+                let squares = residuals[view].iter().map(|[x, y]| x * x + y * y);
+                squares.sum::<f64>() / residuals[view].len() as f64
+            };
+            let worst = |a: &usize, b: &usize| mean_square(*a).total_cmp(&mean_square(*b));
+            let Some(view) = good.iter().copied().max_by(worst) else { break };
+            let others: Vec<usize> = good.iter().copied().filter(|other| *other != view).collect();
+            let without = Scene { good: &others, ..scene };
+            let gain = weighed.walk.motion_gain(scene)?;
+            let rest = fresh.settled_or_bare(without, wanted);
+            let odd = rest.and_then(|rest| rest.odd_motion(scene, view, gain));
+            let Some(times) = odd else { break };
+            // Where the others show no effect at all there is no fit beside effects to go on from.
+            let Some(next) = fresh.weighed(without, wanted, width) else { break };
+            let still = self.still_residuals(&next, (without, wanted));
+            if next.walk.variances.0.is_empty() {
+                break;
+            }
+            weighed = next;
+            chosen.observations[view].used.fill(false);
+            chosen.faults[view] = Some(ViewFault::OddMotion { times });
+            let Some(still) = still.filter(|_| weighed.walk.moves()) else { break };
+            residuals = still;
+            good = others;
+        }
+        Some(weighed)
     }
 }
 

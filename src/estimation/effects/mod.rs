@@ -14,6 +14,7 @@
 //! | posterior and variances | `evidence` |
 //! | the walk to the minimum, and which effects stay | `search` |
 //! | views readmitted beside effects | `readmit` |
+//! | a view that moves as no other does | `odd_motion` |
 //! | corners chosen anew beside effects, with and without motion | `fit` |
 //! | covariances at the end | `finish` |
 //! | what was found | `effects_fit` |
@@ -40,6 +41,7 @@ mod influence;
 mod jacobian_tests;
 pub(crate) mod lens_score;
 mod measured;
+mod odd_motion;
 mod read_by_rows;
 mod readmit;
 mod search;

@@ -34,6 +34,9 @@ const SETTLED_LOG_LAMBDA: f64 = 0.1;
 /// standard deviations from the mode. Neither was swept.
 const SETTLED_COST: f64 = 0.03;
 
+/// Steps that bring views among others whose variances stand. Not swept.
+const MAX_JOINING_STEPS: usize = 8;
+
 /// How often a step that raises the cost is halved before there is none.
 const MAX_HALVINGS: usize = 8;
 
@@ -248,6 +251,22 @@ impl EffectSearch {
         Some(())
     }
 
+    /// Steps until the state does not move, the variances as they are.
+    pub(super) fn join(&mut self, scene: Scene<'_>, noise_square: f64) -> Option<()> {
+        self.here = None;
+        let basis = Rc::clone(&self.basis);
+        let scene = self.narrowed(scene, &basis);
+        for _ in 0..MAX_JOINING_STEPS {
+            let posterior = self.posterior(scene)?;
+            let cost =
+                self.system.cost + self.variances.penalty(&self.state, scene.basis, scene.good);
+            if self.step(scene, &posterior, cost)? < SETTLED_COST * noise_square {
+                break;
+            }
+        }
+        Some(())
+    }
+
     /// A step that lowers the penalized cost; answers by how much.
     fn step(&mut self, scene: Scene<'_>, posterior: &Posterior, cost: f64) -> Option<f64> {
         let mut part = 1.0;
@@ -335,6 +354,16 @@ impl EffectSearch {
             }
         }
         Some((idle, posterior))
+    }
+
+    /// What the views' motion raises the logarithm of the evidence by; 0 without.
+    pub(super) fn motion_gain(&self, scene: Scene<'_>) -> Option<f64> {
+        let basis = Rc::clone(&self.basis);
+        let scene = self.narrowed(scene, &basis);
+        let mut motions = self.variances.effects();
+        motions.retain(|effect| effect.is_motion());
+        let with = self.log_evidence(scene, &self.variances)?;
+        Some(with - self.log_evidence(scene, &self.variances.held(&motions))?)
     }
 
     pub(super) fn log_evidence(&self, scene: Scene<'_>, variances: &Variances) -> Option<f64> {

@@ -1,0 +1,78 @@
+//! A view that moved as no other did while it was read: the motion that views are granted explains
+//! some of an image that is mirrored, or of another camera, as well.
+
+use std::rc::Rc;
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::estimation::effects::search::{EffectSearch, LEAST_GROUP_GAIN};
+use crate::estimation::effects::state::Scene;
+use crate::estimation::student::normal_deviations_of_ratio;
+
+/// The part of a component's variance that rounding could leave undetermined.
+const ROUNDING_PART: f64 = 1e-6;
+
+/// A motion is odd from this many standard deviations on: of one view in four thousand by chance.
+const ODD: f64 = 3.5;
+
+/// Or where a view's part in the evidence for motion is this many times that of all others, which is
+/// less than what motion needs to be believed. Chosen, not swept.
+const ALONE: f64 = 4.0;
+
+impl EffectSearch {
+    /// How many times as far `view` of `scene` moved as the others let expect, where that is odd.
+    /// This walk is one of all others, at its minimum: with the view among them it would have a part
+    /// in what lens, board and the variance of motion are. `gain` is the evidence for motion, as its
+    /// logarithm, with the view: infinite is the answer where the others show none.
+    ///
+    /// Under a prior of variance P the posterior's mean m of a motion is distributed with variance
+    /// P − V, V being the posterior's: mᵀ (P − V)⁻¹ m is χ² with as many degrees of freedom as the
+    /// motion has numbers, and Fisher's F where P is itself estimated.
+    pub(super) fn odd_motion(self, scene: Scene<'_>, view: usize, gain: f64) -> Option<f64> {
+        if !self.moves() {
+            return (gain >= (1.0 + ALONE) * LEAST_GROUP_GAIN).then_some(f64::INFINITY);
+        }
+        let mut walk = self;
+        let others: Vec<usize> =
+            scene.good.iter().copied().filter(|other| *other != view).collect();
+        let others = Scene { good: &others, ..scene };
+        let basis = Rc::clone(&walk.basis);
+        let narrow = walk.narrowed(others, &basis);
+        let posterior = walk.posterior(narrow)?;
+        let noise_square = posterior.noise_square;
+        let of = (narrow.basis, narrow.layout.len);
+        let updated = posterior.updated(&walk.system, &walk.state, of, &walk.variances);
+        let effects = walk.variances.effects();
+        let motions = effects.iter().filter(|effect| effect.is_motion());
+        let determined: f64 = walk
+            .variances
+            .0
+            .iter()
+            .zip(&updated.determined)
+            .filter(|(one, _)| one.effect.is_motion())
+            .map(|(_, determined)| determined)
+            .sum();
+        let rows: Vec<usize> = motions.flat_map(|effect| effect.range(&basis)).collect();
+        walk = walk.again(scene)?;
+        walk.join(scene, noise_square)?;
+        let posterior = walk.posterior(walk.narrowed(scene, &basis))?;
+        let place = walk.system.views.iter().position(|part| part.observation == view)?;
+        let covariance = posterior.motion_covariances.get(place)?;
+        let lambda = walk.variances.of_motion(&walk.system);
+        // In units of the prior's deviations.
+        let scale = DVector::from_iterator(rows.len(), rows.iter().map(|k| lambda[*k].sqrt()));
+        let motion = DVector::from_iterator(
+            rows.len(),
+            rows.iter().map(|k| walk.state.motions[view][*k] + posterior.motions[place][*k]),
+        )
+        .component_mul(&scale);
+        let spread = DMatrix::from_fn(rows.len(), rows.len(), |i, j| {
+            let kept = covariance[(rows[i], rows[j])] * scale[i] * scale[j];
+            if i == j { 1.0 + ROUNDING_PART - kept } else { -kept }
+        });
+        let square = motion.dot(&spread.cholesky()?.solve(&motion)) / noise_square;
+        let ratio = square / rows.len() as f64;
+        let deviations = normal_deviations_of_ratio(ratio, [rows.len() as f64, determined]);
+        (deviations >= ODD).then_some(ratio.sqrt())
+    }
+}
