@@ -140,8 +140,8 @@ fn chosen_images(
 /// Why an image was left out that would lower the uncertainty by this part. That is what its
 /// corners say where all images err alike: of one that fits worse the solve with it says more.
 fn not_chosen(gain: f64) -> String {
-    if gain < SEEN_GAIN {
-        return "not chosen: it teaches nothing beside the chosen ones".to_owned();
+    if !(gain >= SEEN_GAIN) {
+        return "not chosen: it teaches little beside the chosen ones".to_owned();
     }
     format!(
         "not chosen: if it fits as well as the others, it lowers the uncertainty by {:.0} %",

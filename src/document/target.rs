@@ -239,7 +239,7 @@ fn in_field(error: &TargetError) -> DocumentError {
     let problem = match in_millimeters(error) {
         Some(millimeters) => format!(
             "{millimeters} m is no side of what is printed: lengths here are in meters; did you mean {}?",
-            millimeters / 1000.0
+            (1000.0 * millimeters).round() / 1e6
         ),
         None => error.to_string(),
     };

@@ -1,5 +1,5 @@
-//! Which values may be given for images of a size: a focal length that shows some of the world and
-//! no more than the lens can, and a principal point in the image or not far beside it.
+//! Which values may be given for images of a size. The bounds are wide: images may be small parts of
+//! larger ones, and a fisheye's image a small circle in a large one.
 
 use std::f64::consts::PI;
 
@@ -8,11 +8,16 @@ use crate::estimation::problem::{GivenParameter, LensChoice};
 use crate::geometry::lens::LensModel;
 use crate::geometry::pixel::ImageSize;
 
-/// The least that the longer side of an image shows, in degrees: a tenth of what the longest lenses
-/// of photographers show, about that of a telescope.
-const LEAST_DEGREES: f64 = 0.1;
+/// The least that the longer side of an image shows, in degrees: a hundredth of what the longest
+/// lenses of photographers show, less than part of a telescope's image does.
+const LEAST_DEGREES: f64 = 0.01;
 /// A lens that projects to a plane shows less than half of the world, 180 degrees.
 const MOST_DEGREES: f64 = 179.0;
+/// The least of a circle of all directions in an image, as a part of its shorter side. Chosen.
+const LEAST_CIRCLE: f64 = 0.25;
+/// How many sizes of itself an image may lie away from the principal point. Chosen: a hundredth of a
+/// sensor's area may be all that is read.
+const MOST_SIZES: f64 = 10.0;
 
 /// Whether a lens for images of `size` may have the values that are `given`. What is no value of a
 /// lens at all is left to [`crate::estimation::camera::check_given`].
@@ -39,23 +44,25 @@ pub fn check_given_range(
     Ok(())
 }
 
-const FOCAL: &str = "beyond these they would show less than 0.1 degrees, or more than a lens can";
-const PRINCIPAL: &str = "the principal point lies in them, or at most their size beside them where they are parts of larger ones";
+const FOCAL: &str = "beyond these they would show less than 0.01 degrees, or more than a lens can";
+const PRINCIPAL: &str = "the principal point lies in them, or at most ten of their sizes beside them where they are parts of larger ones";
 
-/// By what the longer side of the image shows: a fisheye sees all around at most.
+/// By what the image shows: a fisheye sees all around at most, in a circle that may be small.
 fn focal_range(lens: LensChoice, size: ImageSize) -> [f64; 2] {
     let half_px = 0.5 * f64::from(size.width.max(size.height));
     let focal_px = |degrees: f64| half_px / (0.5 * degrees.to_radians()).tan();
     let least_px = match lens {
-        LensChoice::Model(LensModel::KannalaBrandt) => half_px / PI,
+        LensChoice::Model(LensModel::KannalaBrandt) => {
+            LEAST_CIRCLE * 0.5 * f64::from(size.width.min(size.height)) / PI
+        }
         _ => focal_px(MOST_DEGREES),
     };
     [least_px, focal_px(LEAST_DEGREES)]
 }
 
-/// An image may be a part of a larger one: its own size beside it are three of it.
+/// An image may be a part of a larger one.
 fn principal_range(pixels: u32) -> [f64; 2] {
-    [-f64::from(pixels), 2.0 * f64::from(pixels)]
+    [-MOST_SIZES * f64::from(pixels), (1.0 + MOST_SIZES) * f64::from(pixels)]
 }
 
 #[cfg(test)]
@@ -69,14 +76,15 @@ mod tests {
             check_given_range(lens, &[GivenParameter { name: name.to_owned(), value }], size)
         };
         let fisheye = LensChoice::Model(LensModel::KannalaBrandt);
-        for (name, value) in [("fx", 20.0), ("fy", 3e5), ("cx", 900.0), ("cy", -400.0), ("k1", 1e9)]
+        for (name, value) in
+            [("fx", 20.0), ("fy", 1e6), ("cx", -1300.0), ("cy", -2260.0), ("k1", 1e9)]
         {
             assert_eq!(check(LensChoice::Auto, name, value), Ok(()), "{name}={value}");
         }
-        for (name, value) in [("fx", 1e9), ("fy", 2.0), ("cx", 9999.0), ("cy", -481.0)] {
+        for (name, value) in [("fx", 1e9), ("fy", 2.0), ("cx", 9999.0), ("cy", -4801.0)] {
             let line = check(LensChoice::Auto, name, value).unwrap_err().to_string();
             assert!(line.contains(name) && line.contains("640x480"), "{line}");
         }
-        assert!(check(fisheye, "fx", 20.0).is_err() && check(fisheye, "fx", 110.0).is_ok());
+        assert!(check(fisheye, "fx", 10.0).is_err() && check(fisheye, "fx", 60.0).is_ok());
     }
 }

@@ -60,9 +60,9 @@ pub enum ViewFault {
         /// The distance up to which a corner is believed.
         limit_px: f64,
     },
-    /// It fits with a motion alone that the other views rule out.
+    /// It fits best with a motion that the other views rule out.
     #[error(
-        "it fits only if the board moved{} while it was read: mirrored, of another camera, or moved too fast",
+        "by its corners the board moved{} while it was read: mirrored, of another camera, or moved too fast",
         against_others(*times)
     )]
     OddMotion {
@@ -73,9 +73,9 @@ pub enum ViewFault {
 
 fn against_others(times: f64) -> String {
     if times.is_finite() {
-        format!(" {times:.1} times as far as in other views")
+        format!(" {times:.1} times as far as the other views let expect")
     } else {
-        ", as in no other view,".into()
+        ", as by no other view's,".into()
     }
 }
 

@@ -83,10 +83,12 @@ pub(super) async fn frame(
     Ok((stale, [(CONTENT_TYPE, "image/jpeg")], Bytes::from_owner(jpeg)).into_response())
 }
 
-/// Says of an answer by the newest frame of `camera` why there will be no newer one.
+/// Says of an answer by the newest frame of `camera` why the camera gives nothing newer now.
 pub(super) fn stale(shared: &Shared, camera: &str) -> HeaderMap {
     let reason = shared.fleet.why_nothing_newer(camera);
-    let reason = reason.and_then(|reason| HeaderValue::from_bytes(reason.as_bytes()).ok());
+    // A header holds printable ASCII alone.
+    let printable = |reason: String| reason.replace(|c: char| !(' '..='~').contains(&c), "?");
+    let reason = reason.and_then(|reason| HeaderValue::from_str(&printable(reason)).ok());
     reason.map(|reason| (HeaderName::from_static("plumb-stale"), reason)).into_iter().collect()
 }
 

@@ -5,33 +5,17 @@
 //! that (`unread_depth`). What the infrared camera that measures it sees of boards counts with it,
 //! as in the solve.
 
-use std::sync::Arc;
-
 use crate::calibration::information::board_in_depth::BoardInDepth;
 use crate::calibration::information::depth_teaching::{DepthTeaching, DeviceDepth};
 use crate::calibration::information::next_depth_view::{NextDepthView, suggest_depth_view};
 use crate::calibration::information::next_view::SuggestedView;
 use crate::calibration::information::teaching::{TaughtView, Teaching};
-use crate::calibration::session::unread_depth::{UnreadDepth, UnreadFrame, unread};
+use crate::calibration::session::depth_frame::DepthFrame;
+use crate::calibration::session::unread_depth::{GIVEN_UP, UnreadDepth, UnreadFrame, unread};
 use crate::calibration::view::{FrameFacts, View, target_as_seen};
 use crate::detection::board_detection::Detection;
-use crate::geometry::depth_camera::{DepthReading, PosedDepthLens};
+use crate::geometry::depth_camera::DepthReading;
 use crate::geometry::target::Target;
-use crate::imaging::depth_encoding::DepthEncoding;
-use crate::imaging::depth_image::DepthImage;
-
-/// The depth image that was taken with a color image.
-#[derive(Debug, Clone, PartialEq)]
-pub struct DepthFrame {
-    /// The readings.
-    pub image: Arc<DepthImage>,
-    /// What they mean.
-    pub encoding: DepthEncoding,
-    /// The lens that the device states, and where color is.
-    pub factory: Option<PosedDepthLens>,
-    /// The board in the image of the infrared camera that measures depth.
-    pub infrared: Option<Detection>,
-}
 
 /// A depth camera's part of a session.
 #[derive(Debug, Clone, Default)]
@@ -52,9 +36,6 @@ pub(super) struct SeenByDepth {
     unread: Option<UnreadFrame>,
 }
 
-/// Depth that fits no camera after so many views is left to the verdict: a session that waited for
-/// it would never end.
-pub(super) const GIVEN_UP: usize = 10;
 /// Depth does not count from so many views on. It is a guard: of 31 seeded sessions, 15 of them
 /// begun with three frontal boards, none took more than 11 views with depth (docs/guidance.md).
 const MOST_MEASURED: usize = 40;
@@ -108,8 +89,7 @@ impl DepthPart {
         if let Some(teaching) = &mut self.teaching {
             teaching.add(number, seen.board, color);
         }
-        let Some(unread) = seen.unread.filter(|_| self.unread.is_short() || self.is_counted())
-        else {
+        let Some(unread) = seen.unread.filter(|_| self.unread.len() < MOST_MEASURED) else {
             return;
         };
         self.unread.add(number, unread);
@@ -143,10 +123,7 @@ impl DepthPart {
 
     /// Whether depth is known to `goal_px`, as far as it counts.
     pub(super) fn reaches(&self, goal_px: f64) -> bool {
-        !self.unread.is_awaited()
-            && self
-                .counted()
-                .is_none_or(|depth| depth.uncertainty_px().is_some_and(|px| px <= goal_px))
+        self.counted().is_none_or(|depth| depth.uncertainty_px().is_some_and(|px| px <= goal_px))
     }
 
     /// The view to ask for: color's `own`, unless depth is less known than color and another view
@@ -196,10 +173,6 @@ impl DepthPart {
         let is_fitted = teaching.uncertainty_px().is_some() || teaching.measured() < GIVEN_UP;
         let counts = (1..MOST_MEASURED).contains(&teaching.measured());
         (counts && is_fitted).then_some(teaching)
-    }
-
-    fn is_counted(&self) -> bool {
-        self.counted().is_some()
     }
 }
 

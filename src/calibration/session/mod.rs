@@ -17,6 +17,7 @@ mod advice;
 mod approach;
 mod board_part;
 pub mod camera;
+mod depth_frame;
 mod depth_part;
 mod ending;
 pub mod gate;
@@ -40,7 +41,7 @@ pub use crate::calibration::session::action::{
     Action, CameraFrame, FrameContent, KeptView, Observed,
 };
 use crate::calibration::session::camera::CameraPart;
-pub use crate::calibration::session::depth_part::DepthFrame;
+pub use crate::calibration::session::depth_frame::DepthFrame;
 use crate::calibration::session::ending::WAITS;
 pub use crate::calibration::session::ending::{LEAST_VIEWS, SessionOver};
 use crate::calibration::session::pairs::Pairs;

@@ -8,7 +8,7 @@
 use crate::calibration::disparity_meaning::{KnownReading, disparity_through, reading_in_middle};
 use crate::calibration::information::depth_teaching::guessed_depth;
 use crate::calibration::information::teaching::{TaughtView, Teaching};
-use crate::calibration::session::depth_part::{DepthFrame, GIVEN_UP};
+use crate::calibration::session::depth_frame::DepthFrame;
 use crate::calibration::view::FrameFacts;
 use crate::geometry::depth_camera::DepthReading;
 use crate::geometry::target::Target;
@@ -24,6 +24,9 @@ pub(super) struct UnreadDepth {
     found_among: Option<usize>,
 }
 
+/// Depth that fits no camera after so many views is left to the verdict: a session that waited for
+/// it would never end.
+pub(super) const GIVEN_UP: usize = 10;
 /// A line takes two views, and one more shows that it is one; the solve takes as many with depth.
 const LEAST_VIEWS: usize = 3;
 /// Boards whose distances differ by less than this factor determine no line.
@@ -55,19 +58,14 @@ pub(super) fn unread(
 }
 
 impl UnreadDepth {
-    /// Whether it is open what the numbers mean, and more views may say it.
+    /// Whether views are kept for what they may say of it: what the numbers mean is open, and there
+    /// are few.
     pub(super) fn is_open(&self) -> bool {
-        self.found_among.is_none() && self.is_short()
+        self.found_among.is_none() && self.len() < GIVEN_UP
     }
 
-    /// Whether there are few views with it.
-    pub(super) fn is_short(&self) -> bool {
-        self.views.len() < GIVEN_UP
-    }
-
-    /// Whether there are views with it, and it is open what they show.
-    pub(super) fn is_awaited(&self) -> bool {
-        self.is_open() && !self.views.is_empty()
+    pub(super) fn len(&self) -> usize {
+        self.views.len()
     }
 
     pub(super) fn add(&mut self, number: u32, seen: UnreadFrame) {
@@ -104,7 +102,9 @@ impl UnreadDepth {
             return None;
         }
         let meaning = disparity_through(&known)?;
-        if !known.iter().all(|it| meaning.inverse_depth(it.reading).is_some()) {
+        // A hole of which nobody says that it is one must not hide what the others say.
+        let read = known.iter().filter(|it| meaning.inverse_depth(it.reading).is_some());
+        if 2 * read.count() <= known.len() {
             return None;
         }
         self.found_among = Some(self.views.len());

@@ -247,28 +247,31 @@ impl WalkStart<'_> {
         for _ in 0..scene.good.len() / FEW_PART {
             let scene = Scene { good: &good, ..scene };
             let mean_square = |view: usize| {
-                let squares = residuals[view].iter().map(|[x, y]| x * x + y * y);
-                squares.sum::<f64>() / residuals[view].len() as f64
+                let used = residuals[view].iter().zip(&chosen.observations[view].used);
+                let squares = used.filter(|(_, used)| **used).map(|([x, y], _)| x * x + y * y);
+                let (sum, count) =
+                    squares.fold((0.0, 0.0), |(sum, n), square| (sum + square, n + 1.0));
+                sum / f64::max(count, 1.0)
             };
             let worst = |a: &usize, b: &usize| mean_square(*a).total_cmp(&mean_square(*b));
             let Some(view) = good.iter().copied().max_by(worst) else { break };
             let others: Vec<usize> = good.iter().copied().filter(|other| *other != view).collect();
             let without = Scene { good: &others, ..scene };
-            let gain = weighed.walk.motion_gain(scene)?;
+            let Some(gain) = weighed.walk.motion_gain(scene) else { break };
             let rest = fresh.settled_or_bare(without, wanted);
             let odd = rest.and_then(|rest| rest.odd_motion(scene, view, gain));
             let Some(times) = odd else { break };
             // Where the others show no effect at all there is no fit beside effects to go on from.
             let Some(next) = fresh.weighed(without, wanted, width) else { break };
-            let still = self.still_residuals(&next, (without, wanted));
+            let at_rest = fresh.still_residuals(&next, (without, wanted));
             if next.walk.variances.0.is_empty() {
                 break;
             }
             weighed = next;
             chosen.observations[view].used.fill(false);
             chosen.faults[view] = Some(ViewFault::OddMotion { times });
-            let Some(still) = still.filter(|_| weighed.walk.moves()) else { break };
-            residuals = still;
+            let Some(at_rest) = at_rest.filter(|_| weighed.walk.moves()) else { break };
+            residuals = at_rest;
             good = others;
         }
         Some(weighed)

@@ -12,7 +12,8 @@ use crate::estimation::student::normal_deviations_of_ratio;
 /// The part of a component's variance that rounding could leave undetermined.
 const ROUNDING_PART: f64 = 1e-6;
 
-/// A motion is odd from this many standard deviations on: of one view in four thousand by chance.
+/// A motion is odd from this many standard deviations on: one view in four thousand is by chance, one
+/// of fifteen in one set of three hundred, if all boards move alike.
 const ODD: f64 = 3.5;
 
 /// Or where a view's part in the evidence for motion is this many times that of all others, which is
@@ -22,7 +23,7 @@ const ALONE: f64 = 4.0;
 impl EffectSearch {
     /// How many times as far `view` of `scene` moved as the others let expect, where that is odd.
     /// This walk is one of all others, at its minimum: with the view among them it would have a part
-    /// in what lens, board and the variance of motion are. `gain` is the evidence for motion, as its
+    /// in what the variance of motion is. `gain` is the evidence for motion, as its
     /// logarithm, with the view: infinite is the answer where the others show none.
     ///
     /// Under a prior of variance P the posterior's mean m of a motion is distributed with variance
