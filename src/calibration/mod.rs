@@ -8,7 +8,6 @@ mod composed_pose;
 pub mod coverage;
 pub mod depth_calibration;
 pub mod depth_check;
-mod disparity_meaning;
 pub mod drift;
 pub mod factory_check;
 pub mod guidance;

@@ -6,7 +6,6 @@ use std::mem::discriminant;
 
 use nalgebra::{DMatrix, Point3};
 
-use crate::calibration::disparity_meaning::{KnownReading, disparity_through, reading_in_middle};
 use crate::calibration::rgbd_error::RgbdError;
 use crate::calibration::rgbd_input::{RgbdFrameSet, RgbdInput, poses, views};
 use crate::calibration::solve::SolvedCamera;
@@ -23,7 +22,7 @@ use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::depth_camera::{DepthCamera, DepthReading, DepthTile, PosedDepthLens};
 use crate::geometry::depth_correction::CorrectedQuantity;
 use crate::geometry::lens::Lens;
-use crate::geometry::median::median_pose;
+use crate::geometry::median::{median, median_pose};
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
@@ -186,16 +185,32 @@ impl Guess {
             .filter(|offset| offset.std_s < LEAST_SURE_S);
     }
 
-    /// What disparity means, by all frame sets with a board.
+    /// What disparity means, from what is read in the board's middle and how far away color says
+    /// it is: the line through the pairs by the median of the slopes between them (H. Theil, 1950).
     fn disparity(&self, input: &RgbdInput) -> Option<DepthReading> {
-        let depth = PosedDepthLens { lens: self.lens, depth_from_color: self.depth_from_color };
-        let known = |(frame_set, pose): (&RgbdFrameSet, &Option<Pose>)| {
-            let image = (frame_set.depth.as_ref()?, input.depth.invalid);
-            reading_in_middle(image, &depth, &input.board, pose.as_ref()?)
+        let middle = Point3::from(extent_of(&input.board).center_in_board);
+        let pair = |(frame_set, pose): (&RgbdFrameSet, &Option<Pose>)| {
+            let point = self.depth_from_color * ((*pose)? * middle);
+            let pixel = self.lens.pixel_from_point(&point)?;
+            let image = frame_set.depth.as_ref().filter(|d| d.only_reading().is_none())?;
+            let (x, y) = (pixel.x.round(), pixel.y.round());
+            let inside = image
+                .size()
+                .contains(Pixel::new(x, y))
+                .then(|| image.row(y as usize)[x as usize])?;
+            (Some(inside) != input.depth.invalid).then(|| (f64::from(inside), 1.0 / point.z))
         };
-        let known: Vec<KnownReading> =
-            input.frame_sets.iter().zip(&self.color_from_board).filter_map(known).collect();
-        disparity_through(&known)
+        let pairs: Vec<(f64, f64)> =
+            input.frame_sets.iter().zip(&self.color_from_board).filter_map(pair).collect();
+        let slopes = pairs.iter().enumerate().flat_map(|(k, a)| {
+            pairs[k + 1..]
+                .iter()
+                .filter(|b| (a.0 - b.0).abs() > 1.0)
+                .map(|b| (a.1 - b.1) / (a.0 - b.0))
+        });
+        let slope = median(slopes.collect())?;
+        let offset = median(pairs.iter().map(|(raw, inverse)| inverse - slope * raw).collect())?;
+        Some(DepthReading::Disparity { offset, slope })
     }
 
     /// The board's surface in every depth image, up to `margin` squares past its outer corners.

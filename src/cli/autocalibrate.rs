@@ -78,7 +78,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let frame_sets = || FrameSets::new(args.sources.iter().cloned());
     let SceneImages { images, depth, nominal_focal } = scene_images(frame_sets, threads)?;
     if let Some(image) = images.first() {
-        check_given_range(args.lens.into(), &args.given, image.size).map_err(Failure::usage)?;
+        check_given_range(&args.given, image.size).map_err(Failure::usage)?;
     }
     let options = SceneOptions {
         lens: args.lens.into(),

@@ -89,7 +89,7 @@ fn solve(
     images: ViewsAndOthers,
     options: &CameraOptions,
 ) -> Result<(), Failure> {
-    check_given_range(options.lens, &options.given, images.0.image_size).map_err(Failure::usage)?;
+    check_given_range(&options.given, images.0.image_size).map_err(Failure::usage)?;
     let picked = args.choose.pick(images, options, args.output.is_json())?;
     let Some(((problem, others), options)) = picked else { return Ok(()) };
     let spinner = progress::spinner("solving");

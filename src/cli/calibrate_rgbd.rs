@@ -70,7 +70,7 @@ pub fn calibrate(
     spinner.finish_and_clear();
     let gathered = gathered.finish(depth)?;
     if let Some(size) = gathered.image_size(SensorKind::Color) {
-        check_given_range(options.lens, &options.given, size).map_err(Failure::usage)?;
+        check_given_range(&options.given, size).map_err(Failure::usage)?;
     }
     let observations = InstrumentObservations::of_camera(Some(target), gathered);
     let options = SolveOptions { camera: options.clone(), ..SolveOptions::default() };

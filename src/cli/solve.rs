@@ -54,7 +54,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     options.lens = args.lens.map_or(options.lens, LensChoice::from);
     args.estimated.check_no_lens()?;
     args.estimated.add_to(&mut options)?;
-    check_given_range(options.lens, &options.given, problem.image_size).map_err(Failure::usage)?;
+    check_given_range(&options.given, problem.image_size).map_err(Failure::usage)?;
     let started = Instant::now();
     let method = document.method.into();
     let options = SolveOptions { camera: options, method, ..SolveOptions::default() };

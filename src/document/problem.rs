@@ -160,8 +160,8 @@ impl TryFrom<&ProblemDocument> for CameraProblem {
         if document.method == Method::Calibrate {
             check_inside(&problem)?;
         }
-        let CameraOptions { lens, given, .. } = document.options();
-        check_given_range(lens, &given, image_size)
+        let CameraOptions { given, .. } = document.options();
+        check_given_range(&given, image_size)
             .map_err(|error| DocumentError::field("given", error.to_string()))?;
         Ok(problem)
     }

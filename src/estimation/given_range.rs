@@ -4,15 +4,12 @@
 use std::f64::consts::PI;
 
 use crate::estimation::error::EstimationError;
-use crate::estimation::problem::{GivenParameter, LensChoice};
-use crate::geometry::lens::LensModel;
+use crate::estimation::problem::GivenParameter;
 use crate::geometry::pixel::ImageSize;
 
 /// The least that the longer side of an image shows, in degrees: a hundredth of what the longest
 /// lenses of photographers show, less than part of a telescope's image does.
 const LEAST_DEGREES: f64 = 0.01;
-/// A lens that projects to a plane shows less than half of the world, 180 degrees.
-const MOST_DEGREES: f64 = 179.0;
 /// The least of a circle of all directions in an image, as a part of its shorter side. Chosen.
 const LEAST_CIRCLE: f64 = 0.25;
 /// How many sizes of itself an image may lie away from the principal point. Chosen: a hundredth of a
@@ -24,14 +21,10 @@ const MOST_SIZES: f64 = 10.0;
 ///
 /// # Errors
 /// [`EstimationError::GivenRange`].
-pub fn check_given_range(
-    lens: LensChoice,
-    given: &[GivenParameter],
-    size: ImageSize,
-) -> Result<(), EstimationError> {
+pub fn check_given_range(given: &[GivenParameter], size: ImageSize) -> Result<(), EstimationError> {
     for GivenParameter { name, value } in given {
         let (range, why) = match name.as_str() {
-            "fx" | "fy" if *value > 0.0 => (focal_range(lens, size), FOCAL),
+            "fx" | "fy" if *value > 0.0 => (focal_range(size), FOCAL),
             "cx" => (principal_range(size.width), PRINCIPAL),
             "cy" => (principal_range(size.height), PRINCIPAL),
             _ => continue,
@@ -44,20 +37,16 @@ pub fn check_given_range(
     Ok(())
 }
 
-const FOCAL: &str = "beyond these they would show less than 0.01 degrees, or more than a lens can";
+const FOCAL: &str =
+    "beyond these they would show less than 0.01 degrees, or all the world in a spot";
 const PRINCIPAL: &str = "the principal point lies in them, or at most ten of their sizes beside them where they are parts of larger ones";
 
-/// By what the image shows: a fisheye sees all around at most, in a circle that may be small.
-fn focal_range(lens: LensChoice, size: ImageSize) -> [f64; 2] {
-    let half_px = 0.5 * f64::from(size.width.max(size.height));
-    let focal_px = |degrees: f64| half_px / (0.5 * degrees.to_radians()).tan();
-    let least_px = match lens {
-        LensChoice::Model(LensModel::KannalaBrandt) => {
-            LEAST_CIRCLE * 0.5 * f64::from(size.width.min(size.height)) / PI
-        }
-        _ => focal_px(MOST_DEGREES),
-    };
-    [least_px, focal_px(LEAST_DEGREES)]
+/// By what the image shows: all directions in a circle that may be small, or nearly none.
+fn focal_range(size: ImageSize) -> [f64; 2] {
+    let [half_px, other_px] = [size.width.max(size.height), size.width.min(size.height)]
+        .map(|side| 0.5 * f64::from(side));
+    let least_px = LEAST_CIRCLE * other_px / PI;
+    [least_px, half_px / (0.5 * LEAST_DEGREES.to_radians()).tan()]
 }
 
 /// An image may be a part of a larger one.
@@ -72,19 +61,17 @@ mod tests {
     #[test]
     fn what_shows_hardly_anything_or_lies_far_outside_is_refused() {
         let size = ImageSize { width: 640, height: 480 };
-        let check = |lens, name: &str, value| {
-            check_given_range(lens, &[GivenParameter { name: name.to_owned(), value }], size)
+        let check = |name: &str, value| {
+            check_given_range(&[GivenParameter { name: name.to_owned(), value }], size)
         };
-        let fisheye = LensChoice::Model(LensModel::KannalaBrandt);
         for (name, value) in
             [("fx", 20.0), ("fy", 1e6), ("cx", -1300.0), ("cy", -2260.0), ("k1", 1e9)]
         {
-            assert_eq!(check(LensChoice::Auto, name, value), Ok(()), "{name}={value}");
+            assert_eq!(check(name, value), Ok(()), "{name}={value}");
         }
         for (name, value) in [("fx", 1e9), ("fy", 2.0), ("cx", 9999.0), ("cy", -4801.0)] {
-            let line = check(LensChoice::Auto, name, value).unwrap_err().to_string();
+            let line = check(name, value).unwrap_err().to_string();
             assert!(line.contains(name) && line.contains("640x480"), "{line}");
         }
-        assert!(check(fisheye, "fx", 10.0).is_err() && check(fisheye, "fx", 60.0).is_ok());
     }
 }

@@ -113,7 +113,11 @@ impl DepthTeaching {
     /// Nothing taught yet of a depth camera beside the one that `color` is of.
     pub fn new(target: &Target, color: &Teaching, stated: &DeviceDepth) -> Self {
         let size = stated.size;
-        let PosedDepthLens { lens, depth_from_color } = guessed_depth(color, size, stated.factory);
+        let guess = || PosedDepthLens {
+            lens: same_view(color.lens(), color.size(), size),
+            depth_from_color: Pose::identity(),
+        };
+        let PosedDepthLens { lens, depth_from_color } = stated.factory.unwrap_or_else(guess);
         let guess = PlacedDepth::new(lens, size, depth_from_color, stated.reading, [0.3, 3.0]);
         Self {
             target: *target,
@@ -474,18 +478,6 @@ impl DepthTeaching {
         self.estimated_among = self.views.len();
         self.noise.learn(self.views.iter().map(|view| (view.z_m, view.tiles.as_slice())));
     }
-}
-
-/// A depth camera that no view says anything of yet: as stated, or where color is, seeing as much.
-pub fn guessed_depth(
-    color: &Teaching,
-    size: ImageSize,
-    stated: Option<PosedDepthLens>,
-) -> PosedDepthLens {
-    stated.unwrap_or_else(|| PosedDepthLens {
-        lens: same_view(color.lens(), color.size(), size),
-        depth_from_color: Pose::identity(),
-    })
 }
 
 impl DepthNow {

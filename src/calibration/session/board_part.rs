@@ -6,6 +6,7 @@ mod worth;
 use crate::calibration::admission::{AdmissionOptions, Rejection, SeenBefore, admit};
 use crate::calibration::coverage::Coverage;
 use crate::calibration::guidance::obstacle;
+use crate::calibration::information::board_in_depth::BoardInDepth;
 use crate::calibration::information::next_view::SuggestedView;
 use crate::calibration::information::projection_goal::GoalFigure;
 use crate::calibration::information::teaching::{TaughtView, Teaching};
@@ -14,8 +15,7 @@ use crate::calibration::running_estimate::{EstimateSoFar, GoingOn};
 use crate::calibration::session::action::CameraFrame;
 use crate::calibration::session::advice::{Advice, Now};
 use crate::calibration::session::approach::Approach;
-use crate::calibration::session::depth_frame::DepthFrame;
-use crate::calibration::session::depth_part::{DepthPart, SeenByDepth};
+use crate::calibration::session::depth_part::{DepthFrame, DepthPart};
 use crate::calibration::session::ending::LEAST_VIEWS;
 use crate::calibration::session::last_rejections::LastRejections;
 use crate::calibration::session::progress::{FrameTime, Obstacle};
@@ -34,7 +34,7 @@ const LEAST_VIEWS_FOR_GOAL: u32 = 8;
 const ARRIVED: f64 = 0.2;
 
 /// What a view teaches: of color, unless no pose explains it, and of depth.
-type Taught = (Option<TaughtView>, SeenByDepth);
+type Taught = (Option<TaughtView>, BoardInDepth);
 
 /// One camera's part of a session with a board.
 #[derive(Debug, Clone)]
@@ -254,7 +254,7 @@ impl BoardPart {
         self.image_size().is_none_or(|expected| expected == frame.image_size)
             && admit(detection, frame, self.before.as_ref(), &self.placements, &self.options)
                 .and_then(|placement| {
-                    let taught = (self.taught(frame, detection), SeenByDepth::default());
+                    let taught = (self.taught(frame, detection), BoardInDepth::default());
                     self.room_for(frame, &placement, &taught)
                 })
                 .is_ok()
@@ -414,11 +414,11 @@ impl BoardPart {
     }
 
     /// Takes in what a view teaches, and asks for the next one.
-    fn teach(&mut self, number: u32, taught: Option<TaughtView>, depth: SeenByDepth) {
+    fn teach(&mut self, number: u32, taught: Option<TaughtView>, depth: BoardInDepth) {
         let Some(teaching) = &mut self.teaching else { return };
         if let Some(taught) = taught {
             teaching.add(taught);
-            self.depth.add(&self.target, (number, depth), teaching);
+            self.depth.add(number, depth, teaching);
         }
         self.suggest();
     }

@@ -1,41 +1,48 @@
 //! What one camera of an instrument has gathered of its depth in a session, and the view to ask for
 //! that teaches it.
 //!
-//! Depth counts once a view has it, and once views say what its numbers mean where nobody states
-//! that (`unread_depth`). What the infrared camera that measures it sees of boards counts with it,
-//! as in the solve.
+//! Depth counts once a view has it. What the infrared camera that measures it sees of boards counts
+//! with it, as in the solve.
+
+use std::sync::Arc;
 
 use crate::calibration::information::board_in_depth::BoardInDepth;
 use crate::calibration::information::depth_teaching::{DepthTeaching, DeviceDepth};
 use crate::calibration::information::next_depth_view::{NextDepthView, suggest_depth_view};
 use crate::calibration::information::next_view::SuggestedView;
 use crate::calibration::information::teaching::{TaughtView, Teaching};
-use crate::calibration::session::depth_frame::DepthFrame;
-use crate::calibration::session::unread_depth::{GIVEN_UP, UnreadDepth, UnreadFrame, unread};
 use crate::calibration::view::{FrameFacts, View, target_as_seen};
 use crate::detection::board_detection::Detection;
-use crate::geometry::depth_camera::DepthReading;
+use crate::geometry::depth_camera::PosedDepthLens;
 use crate::geometry::target::Target;
+use crate::imaging::depth_encoding::DepthEncoding;
+use crate::imaging::depth_image::DepthImage;
+
+/// The depth image that was taken with a color image.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DepthFrame {
+    /// The readings.
+    pub image: Arc<DepthImage>,
+    /// What they mean.
+    pub encoding: DepthEncoding,
+    /// The lens that the device states, and where color is.
+    pub factory: Option<PosedDepthLens>,
+    /// The board in the image of the infrared camera that measures depth.
+    pub infrared: Option<Detection>,
+}
 
 /// A depth camera's part of a session.
 #[derive(Debug, Clone, Default)]
 pub(super) struct DepthPart {
     teaching: Option<DepthTeaching>,
-    /// The views whose depth nobody states the meaning of.
-    unread: UnreadDepth,
     next: Option<NextDepthView>,
     /// The view that teaches depth most is asked for.
     is_asked_for: bool,
 }
 
-/// What depth shows of one view.
-#[derive(Debug, Clone, Default)]
-pub(super) struct SeenByDepth {
-    board: BoardInDepth,
-    /// The frame, where nobody states what its depth means.
-    unread: Option<UnreadFrame>,
-}
-
+/// Depth that fits no camera after so many views is left to the verdict: a session that waited for
+/// it would never end.
+const GIVEN_UP: usize = 10;
 /// Depth does not count from so many views on. It is a guard: of 31 seeded sessions, 15 of them
 /// begun with three frontal boards, none took more than 11 views with depth (docs/guidance.md).
 const MOST_MEASURED: usize = 40;
@@ -47,77 +54,55 @@ impl DepthPart {
         target: &Target,
         color: Option<&Teaching>,
         (facts, frame, taught): (&FrameFacts, Option<&DepthFrame>, Option<&TaughtView>),
-    ) -> SeenByDepth {
+    ) -> BoardInDepth {
         let (Some(color), Some(frame), Some(taught)) = (color, frame, taught) else {
-            return SeenByDepth::default();
+            return BoardInDepth::default();
         };
-        if let Some(reading) = frame.encoding.reading {
-            let nothing = || nothing_taught(target, color, frame, reading);
-            self.teaching.get_or_insert_with(nothing);
-        }
-        let teaching = self.teaching.as_mut();
-        let board = teaching.map(|it| board_in_depth(it, target, color, (facts, frame, taught)));
-        let unread = unread(target, color, (facts, frame, taught));
-        SeenByDepth { board: board.unwrap_or_default(), unread }
+        // Disparity of unknown meaning is left to the solve.
+        let Some(reading) = frame.encoding.reading else { return BoardInDepth::default() };
+        let teaching = self.teaching.get_or_insert_with(|| {
+            let size = frame.image.size();
+            let invalid = frame.encoding.invalid;
+            let stated = DeviceDepth { size, reading, invalid, factory: frame.factory };
+            DepthTeaching::new(target, color, &stated)
+        });
+        let surface = teaching.measure(&frame.image, color, taught);
+        // Corners that may be counted from either end of the board say nothing of where it is.
+        let is_placed = |seen: &&Detection| seen.position_known && !seen.orientation_ambiguous;
+        let infrared = frame.infrared.as_ref().filter(is_placed).and_then(|seen| {
+            let size = frame.image.size();
+            let facts = FrameFacts { image_size: size, ..facts.clone() };
+            let view = View { number: taught.number, frame: facts, detection: seen.clone() };
+            let target = target_as_seen(target, [&view]);
+            teaching.see(view.to_board_view(&target), seen.blur_px, color, taught)
+        });
+        BoardInDepth { surface, infrared }
     }
 
     /// Whether a view is worth keeping for what it teaches of depth: at least `worth` of half of
     /// what the views with depth taught on average. The first ones are.
-    pub(super) fn is_taught(&self, taught: &TaughtView, seen: &SeenByDepth, worth: f64) -> bool {
-        if seen.unread.is_some() && self.unread.is_open() {
-            return true;
-        }
-        let (Some(teaching), seen) = (self.counted(), &seen.board) else { return false };
+    pub(super) fn is_taught(&self, taught: &TaughtView, seen: &BoardInDepth, worth: f64) -> bool {
+        let Some(teaching) = self.counted() else { return false };
         (seen.surface.is_some() || seen.infrared.is_some())
             && teaching.gain(taught, seen) >= 0.5 * worth / teaching.measured().max(1) as f64
     }
 
     /// By how much a view lowers what is asked for, and by how much that view does; `None` unless
     /// it is asked for on behalf of depth.
-    pub(super) fn drop(&self, taught: &TaughtView, seen: &SeenByDepth) -> Option<[f64; 2]> {
+    pub(super) fn drop(&self, taught: &TaughtView, seen: &BoardInDepth) -> Option<[f64; 2]> {
         let next = self.next.as_ref().filter(|_| self.is_asked_for)?;
-        Some([self.counted()?.drop(taught, &seen.board), next.drop])
+        Some([self.counted()?.drop(taught, seen), next.drop])
     }
 
     /// Takes in a kept view, which `color` has as its `number`-th.
-    pub(super) fn add(
-        &mut self,
-        target: &Target,
-        (number, seen): (u32, SeenByDepth),
-        color: &Teaching,
-    ) {
+    pub(super) fn add(&mut self, number: u32, seen: BoardInDepth, color: &Teaching) {
         if let Some(teaching) = &mut self.teaching {
-            teaching.add(number, seen.board, color);
+            teaching.add(number, seen, color);
         }
-        let Some(unread) = seen.unread.filter(|_| self.unread.len() < MOST_MEASURED) else {
-            return;
-        };
-        self.unread.add(number, unread);
-        if let Some(reading) = self.unread.meaning(target, color) {
-            self.teaching = self.read_as(reading, target, color);
-        }
-    }
-
-    /// What the views teach whose depth means `reading`.
-    fn read_as(
-        &self,
-        reading: DepthReading,
-        target: &Target,
-        color: &Teaching,
-    ) -> Option<DepthTeaching> {
-        let mut views = self.unread.with_color(color).peekable();
-        let (_, (_, first)) = views.peek()?;
-        let mut teaching = nothing_taught(target, color, first, reading);
-        for (taught, (facts, frame)) in views {
-            let seen = board_in_depth(&mut teaching, target, color, (facts, frame, taught));
-            teaching.add(taught.number, seen, color);
-        }
-        Some(teaching)
     }
 
     /// The color view with this number is there no more.
     pub(super) fn remove(&mut self, number: u32) {
-        self.unread.remove(number);
         self.teaching.iter_mut().for_each(|teaching| teaching.remove(number));
     }
 
@@ -174,39 +159,4 @@ impl DepthPart {
         let counts = (1..MOST_MEASURED).contains(&teaching.measured());
         (counts && is_fitted).then_some(teaching)
     }
-}
-
-/// Nothing taught yet of the depth camera that took `frame`.
-fn nothing_taught(
-    target: &Target,
-    color: &Teaching,
-    frame: &DepthFrame,
-    reading: DepthReading,
-) -> DepthTeaching {
-    let (size, invalid) = (frame.image.size(), frame.encoding.invalid);
-    DepthTeaching::new(
-        target,
-        color,
-        &DeviceDepth { size, reading, invalid, factory: frame.factory },
-    )
-}
-
-/// What depth and infrared show of the board that color sees as `taught`.
-fn board_in_depth(
-    teaching: &mut DepthTeaching,
-    target: &Target,
-    color: &Teaching,
-    (facts, frame, taught): (&FrameFacts, &DepthFrame, &TaughtView),
-) -> BoardInDepth {
-    let surface = teaching.measure(&frame.image, color, taught);
-    // Corners that may be counted from either end of the board say nothing of where it is.
-    let is_placed = |seen: &&Detection| seen.position_known && !seen.orientation_ambiguous;
-    let infrared = frame.infrared.as_ref().filter(is_placed).and_then(|seen| {
-        let size = frame.image.size();
-        let facts = FrameFacts { image_size: size, ..facts.clone() };
-        let view = View { number: taught.number, frame: facts, detection: seen.clone() };
-        let target = target_as_seen(target, [&view]);
-        teaching.see(view.to_board_view(&target), seen.blur_px, color, taught)
-    });
-    BoardInDepth { surface, infrared }
 }

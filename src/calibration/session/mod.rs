@@ -17,7 +17,6 @@ mod advice;
 mod approach;
 mod board_part;
 pub mod camera;
-mod depth_frame;
 mod depth_part;
 mod ending;
 pub mod gate;
@@ -28,7 +27,6 @@ mod resume;
 mod scene_part;
 mod sharing;
 mod together;
-mod unread_depth;
 
 use crate::calibration::admission::{AdmissionOptions, Rejection};
 use crate::calibration::guidance::Guidance;
@@ -41,7 +39,7 @@ pub use crate::calibration::session::action::{
     Action, CameraFrame, FrameContent, KeptView, Observed,
 };
 use crate::calibration::session::camera::CameraPart;
-pub use crate::calibration::session::depth_frame::DepthFrame;
+pub use crate::calibration::session::depth_part::DepthFrame;
 use crate::calibration::session::ending::WAITS;
 pub use crate::calibration::session::ending::{LEAST_VIEWS, SessionOver};
 use crate::calibration::session::pairs::Pairs;
