@@ -100,7 +100,7 @@ pub(super) struct ImagePairs {
     pub homographies: Vec<RotatedPair>,
     /// Pairs of which a homography explains nearly all.
     pub nearly_planar: usize,
-    /// Pairs between which nothing moved.
+    /// Pairs that share what stays at its place in the image, and nothing else.
     pub still: usize,
     /// The number of inlier matches between each image and the next.
     pub between_neighbors: Vec<usize>,
@@ -148,7 +148,7 @@ pub(super) fn correspond(
         let part = repeated as f64 / images[*i].feature_count().max(1) as f64;
         let points = matches.iter().map(|m| point_pair(&images[*i], &images[*j], *m));
         let points: Vec<PointPair> = points.collect();
-        let geometry = two_view_geometry(&points, size);
+        let geometry = scene_geometry(&points, fewer_features(&images[*i], &images[*j]), size);
         (geometry.map(|geometry| (matches, points, geometry)), is_neighbor.then_some(part))
     });
     let (matched, repeated): (Vec<Matched>, Vec<Option<f64>>) = compared.into_iter().unzip();
@@ -175,10 +175,15 @@ pub(super) fn correspond(
             continue;
         }
         if found.same_as[first + 1..second].iter().all(Option::is_some) {
-            let inliers = matched.as_ref().map_or(0, |(.., geometry)| geometry.inliers.len());
+            let moved = matched.as_ref().filter(|(.., found)| found.kind != TwoViewKind::Still);
+            let inliers = moved.map_or(0, |(.., geometry)| geometry.inliers.len());
             found.between_neighbors.push(inliers);
         }
         let Some((matches, points, geometry)) = matched else { continue };
+        if geometry.kind == TwoViewKind::Still {
+            found.still += 1;
+            continue;
+        }
         let of_keypoints = |k: &usize| Match {
             first: images[first].keypoint_of(matches[*k].first),
             second: images[second].keypoint_of(matches[*k].second),
@@ -197,6 +202,36 @@ pub(super) fn correspond(
 /// What the matches of a pair of images determine, with the matches.
 type Matched = Option<(Vec<Match>, Vec<PointPair>, TwoViewGeometry)>;
 
+/// The geometry of two images of which the one that has fewer has `features`, without what stays
+/// at its place in the image where the rest does not: a time stamp, dirt on the lens.
+pub(super) fn scene_geometry(
+    pairs: &[PointPair],
+    features: usize,
+    size: ImageSize,
+) -> Option<TwoViewGeometry> {
+    let geometry = two_view_geometry(pairs, size)?;
+    if geometry.kind != TwoViewKind::Still || is_one_view(&geometry, features) {
+        return Some(geometry);
+    }
+    let moved: Vec<usize> =
+        (0..pairs.len()).filter(|k| geometry.inliers.binary_search(k).is_err()).collect();
+    let rest: Vec<PointPair> = moved.iter().map(|k| pairs[*k]).collect();
+    let Some(mut of_rest) = two_view_geometry(&rest, size) else { return Some(geometry) };
+    of_rest.inliers.iter_mut().for_each(|k| *k = moved[*k]);
+    Some(of_rest)
+}
+
+/// Whether `geometry` is that of images of one view: nothing moved, of which the one that has fewer
+/// has `features`.
+pub(super) fn is_one_view(geometry: &TwoViewGeometry, features: usize) -> bool {
+    let stayed = geometry.inliers.len() as f64;
+    geometry.kind == TwoViewKind::Still && stayed >= SAME_PART * features as f64
+}
+
+fn fewer_features(first: &SceneImage, second: &SceneImage) -> usize {
+    first.feature_count().min(second.feature_count())
+}
+
 /// By image, the first earlier one of the same view, of those that have none themselves: an image
 /// of a slow motion is compared with the last that was kept, not with the one before.
 fn same_views<'a>(
@@ -204,11 +239,8 @@ fn same_views<'a>(
     matched: impl Iterator<Item = (&'a (usize, usize), &'a Matched)>,
 ) -> Vec<Option<usize>> {
     let is_same = |((first, second), matched): &(&(usize, usize), &Matched)| {
-        let features = images[*first].feature_count().min(images[*second].feature_count());
-        matched.as_ref().is_some_and(|(.., geometry)| {
-            let stayed = geometry.inliers.len() as f64;
-            geometry.kind == TwoViewKind::Still && stayed >= SAME_PART * features as f64
-        })
+        let features = fewer_features(&images[*first], &images[*second]);
+        matched.as_ref().is_some_and(|(.., geometry)| is_one_view(geometry, features))
     };
     let same: Vec<(usize, usize)> = matched.filter(is_same).map(|(pair, _)| *pair).collect();
     let mut same_as = vec![None; images.len()];
@@ -241,9 +273,6 @@ impl ImagePairs {
     ) {
         let matches: Vec<PointPair> = geometry.inliers.iter().map(|k| points[*k]).collect();
         self.nearly_planar += usize::from(geometry.is_nearly_planar);
-        if geometry.kind == TwoViewKind::Still {
-            self.still += 1;
-        }
         if let Some(homography) = geometry.homography {
             let matches = geometry.on_homography;
             let pair = RotatedPair { first, second, homography, matches };

@@ -80,6 +80,14 @@ pub enum SceneRefusal {
         /// The median number of inlier matches between an image and the next.
         between_neighbors: usize,
     },
+    /// A time stamp matches, the scene does not.
+    #[error(
+        "no two images show the same scene from two places: what {pairs} pairs of them share stays at its place in the image, as a time stamp does; take smaller steps around something with texture"
+    )]
+    OnlyWhatStays {
+        /// How many pairs of images share that.
+        pairs: usize,
+    },
     /// Places are alike: matches are between wrong ones.
     #[error(
         "the texture repeats: {percent:.0} % of what an image shows is alike at several places of the next one, so that matches are ambiguous; photograph something whose texture does not repeat"

@@ -203,6 +203,28 @@ fn what_cannot_be_calibrated_is_refused_by_name() {
 }
 
 #[test]
+fn a_time_stamp_on_images_that_share_nothing_is_no_camera_that_stood_still() {
+    const STAMP: usize = 48;
+    let blocks = |seed: u64| {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let blocks: Vec<u8> = (0..64 * 48).map(|_| random.random_range(0..255)).collect();
+        move |row: usize, column: usize| blocks[row / 5 * 64 + column / 5]
+    };
+    let image = |seed: u64| {
+        let (stamp, scene) = (blocks(99), blocks(seed));
+        let at = |k: usize| {
+            let (row, column) = (k / 320, k % 320);
+            if row < STAMP { stamp(row, column) } else { scene(row, column) }
+        };
+        let gray = GrayImage::from_pixels(320, 240, (0..320 * 240).map(at).collect()).unwrap();
+        SceneImage::of(seed.to_string(), gray.view())
+    };
+    let images = [image(1), image(2), image(3)];
+    let refused = calibrate_scene(&images, &SceneOptions::default());
+    assert_eq!(refused, Err(SceneRefusal::OnlyWhatStays { pairs: 3 }));
+}
+
+#[test]
 fn a_texture_that_repeats_is_named() {
     const PERIOD: usize = 40;
     let mut random = ChaCha8Rng::seed_from_u64(10);

@@ -97,7 +97,9 @@ fn instead(refusal: &SceneRefusal) -> String {
         SceneRefusal::OnePlane => format!("{DEPTH}, not at one plane"),
         SceneRefusal::NoTexture { .. } => TEXTURE.to_owned(),
         SceneRefusal::RepeatedTexture { .. } => format!("{TEXTURE} that does not repeat"),
-        SceneRefusal::NothingAgrees { .. } | SceneRefusal::TooFewConnected { .. } => {
+        SceneRefusal::NothingAgrees { .. }
+        | SceneRefusal::OnlyWhatStays { .. }
+        | SceneRefusal::TooFewConnected { .. } => {
             format!("take smaller steps, and {TEXTURE} that does not repeat")
         }
         other => other.to_string(),

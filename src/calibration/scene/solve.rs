@@ -209,11 +209,11 @@ fn reconstruction(
     if views < LEAST_VIEWS {
         return Err(SceneRefusal::TooFewViews { images, views });
     }
+    if verified == 0 && found.still > 0 {
+        return Err(SceneRefusal::OnlyWhatStays { pairs: found.still });
+    }
     if verified == 0 {
         return Err(SceneRefusal::NothingAgrees { between_neighbors });
-    }
-    if found.still == verified {
-        return Err(SceneRefusal::Still);
     }
     let given = options.given.iter().find(|given| given.name == "fx" || given.name == "fy");
     let focal = given.map(|given| given.value);
