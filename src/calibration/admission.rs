@@ -67,6 +67,14 @@ pub enum Rejection {
         /// The kept view that it resembles most.
         view: u32,
     },
+    /// A camera before a scene moved too little since a kept view.
+    #[error("a small step from view {view}: {:.0} % of what it takes to be kept", 100.0 * part)]
+    SmallStep {
+        /// The kept view that it resembles most.
+        view: u32,
+        /// What is new, as a part of what it takes, 0 to 1.
+        part: f64,
+    },
     /// It would teach too little beside the session's views.
     #[error(
         "nothing new: projections would be {} % surer, a view is kept for {} %; hold the board as asked for",
@@ -97,10 +105,10 @@ pub enum Rejection {
     },
     /// A scene of which no kept view shows anything.
     #[error(
-        "it shows nothing of what the kept views show ({matches} matches agree): go back, and take smaller steps"
+        "it shows nothing of what the kept views show ({matches} matches agree with the frame before): go back, and take smaller steps"
     )]
     UnknownScene {
-        /// The most matches with a kept view that agree.
+        /// How many matches with the frame before agree.
         matches: usize,
     },
     /// The session holds as many views as it may.
@@ -141,7 +149,10 @@ impl Rejection {
 
     /// Whether the board is well seen, only not new.
     pub fn is_known_already(&self) -> bool {
-        matches!(self, Self::TooSimilar { .. } | Self::TeachesLittle { .. })
+        matches!(
+            self,
+            Self::TooSimilar { .. } | Self::SmallStep { .. } | Self::TeachesLittle { .. }
+        )
     }
 
     /// A short stable name for counters, documents and events.
@@ -151,7 +162,9 @@ impl Rejection {
             Self::Partial { .. } => "partial",
             Self::Blurred { .. } => "blurred",
             Self::Moving { .. } => "moving",
-            Self::TooSimilar { .. } | Self::TeachesLittle { .. } => "too_similar",
+            Self::TooSimilar { .. } | Self::SmallStep { .. } | Self::TeachesLittle { .. } => {
+                "too_similar"
+            }
             Self::Unreadable { .. } => "unreadable",
             Self::NoImage { .. } => "no_image",
             Self::OtherImageSize { .. } => "other_image_size",

@@ -182,7 +182,9 @@ pub(crate) fn obstacle(rejection: &Rejection) -> Option<String> {
         | Rejection::NoImage { .. }
         | Rejection::OtherImageSize { .. }
         | Rejection::Full { .. } => Some(rejection.to_string()),
-        Rejection::TooSimilar { .. } | Rejection::TeachesLittle { .. } => None,
+        Rejection::TooSimilar { .. }
+        | Rejection::SmallStep { .. }
+        | Rejection::TeachesLittle { .. } => None,
     }
 }
 

@@ -1,11 +1,14 @@
 //! Which frames of a moving camera are worth keeping: those that see the scene from elsewhere, or
-//! more of it. It depends on the images alone, so that a replay keeps the same ones.
+//! more of it, or in which much of it is not found again. It depends on the images alone, so that a
+//! replay keeps the same ones.
 
 use crate::calibration::admission::Rejection;
-use crate::calibration::scene::correspondence::{SceneImage, point_pair};
+use crate::calibration::scene::correspondence::{
+    SceneImage, is_one_view, point_pair, scene_geometry,
+};
 use crate::calibration::view::FrameFacts;
 use crate::estimation::two_view::PointPair;
-use crate::estimation::two_view::degeneracy::{TwoViewGeometry, TwoViewKind, two_view_geometry};
+use crate::estimation::two_view::degeneracy::{TwoViewGeometry, TwoViewKind};
 use crate::features::detector::FeatureOptions;
 use crate::features::matching::match_descriptors;
 use crate::geometry::median::median;
@@ -25,6 +28,8 @@ const COMPARED: usize = 800;
 const PREVIEWED: usize = 250;
 /// As many preliminary matches agree by chance.
 const LEAST_PREVIEWED: usize = 4;
+/// The most key frames that an image is compared with beside the last one.
+const MOST_TRIED: usize = 4;
 
 /// New ground: the image has moved by this part of its diagonal in the median. A step sideways by a
 /// tenth of the distance to the scene moves it by a tenth of the focal length, which is 0.8
@@ -33,6 +38,9 @@ const DISPLACED: f64 = 0.08;
 /// Parallax: matches are this part of the diagonal away from where one plane would have them, in
 /// the median. Half as much depth as distance gives a quarter of the displacement.
 const PARALLAX: f64 = 0.02;
+/// A camera that moved by less than this part of a key frame's step stands still in a hand, whatever
+/// is not found again: blur, noise and what moves in front of it lose features as well.
+const HELD_STILL: f64 = 0.1;
 
 /// A frame that a session keeps.
 #[derive(Debug, Clone, PartialEq)]
@@ -45,11 +53,15 @@ pub struct KeyFrame {
     pub image: SceneImage,
 }
 
-/// Decides whether `image` becomes a key frame beside `kept`.
+/// Decides whether `image`, which came after `before`, becomes a key frame beside `kept`.
 ///
 /// # Errors
 /// The first reason against it.
-pub fn admit_key_frame(image: &SceneImage, kept: &[KeyFrame]) -> Result<(), Rejection> {
+pub fn admit_key_frame(
+    image: &SceneImage,
+    before: Option<&SceneImage>,
+    kept: &[KeyFrame],
+) -> Result<(), Rejection> {
     let features = image.feature_count();
     if features < LEAST_FEATURES {
         return Err(Rejection::NoTexture { features });
@@ -58,27 +70,39 @@ pub fn admit_key_frame(image: &SceneImage, kept: &[KeyFrame]) -> Result<(), Reje
     if last.image.size != image.size {
         return Err(Rejection::OtherImageSize { got: image.size, expected: last.image.size });
     }
-    let after_last = KeyFrameStep::between(&last.image, image);
-    if after_last.is_small() {
-        return Err(Rejection::TooSimilar { view: last.number });
+    let from_last = KeyFrameStep::between(&last.image, image);
+    if let Some(step) = &from_last {
+        step.check(last.number)?;
     }
-    // Back where it was before, or seen from there for the first time after a gap.
-    let Some(similar) = most_similar(image, kept).filter(|k| k.number != last.number) else {
-        return after_last.known();
-    };
-    let after_similar = KeyFrameStep::between(&similar.image, image);
-    if after_similar.is_small() {
-        return Err(Rejection::TooSimilar { view: similar.number });
+    // Back where it was before, or seen from there for the first time after a gap. An image that
+    // shows nothing of the last key frame may show something of another.
+    let mut similar = most_similar_first(image, kept);
+    similar.truncate(if from_last.is_some() { 1 } else { MOST_TRIED });
+    similar.retain(|key| key.number != last.number);
+    let step = |key: &KeyFrame| Some((key.number, KeyFrameStep::between(&key.image, image)?));
+    match similar.into_iter().find_map(step) {
+        Some((view, step)) => step.check(view),
+        None if from_last.is_some() => Ok(()),
+        None => {
+            let matches = before.map_or(0, |before| shared_points(before, image).len());
+            Err(Rejection::UnknownScene { matches })
+        }
     }
-    after_last.known().or_else(|_| after_similar.known())
 }
 
 /// Where `image` shows what a key frame shows: the matches of their strongest features that agree
 /// on the geometry of two views, the key frame's first. Empty where they show nothing together.
 pub fn shared_points(key_frame: &SceneImage, image: &SceneImage) -> Vec<PointPair> {
     let pairs = strongest_matches(key_frame, image);
-    let geometry = two_view_geometry(&pairs, image.size);
+    let features = compared_features(key_frame, image);
+    let geometry = scene_geometry(&pairs, features, image.size)
+        .filter(|found| found.kind != TwoViewKind::Still || is_one_view(found, features));
     geometry.map_or_else(Vec::new, |found| found.inliers.iter().map(|k| pairs[*k]).collect())
+}
+
+/// How many features of the image that has fewer are compared.
+fn compared_features(first: &SceneImage, second: &SceneImage) -> usize {
+    first.feature_count().min(second.feature_count()).min(COMPARED)
 }
 
 fn strongest_matches(first: &SceneImage, second: &SceneImage) -> Vec<PointPair> {
@@ -86,38 +110,44 @@ fn strongest_matches(first: &SceneImage, second: &SceneImage) -> Vec<PointPair> 
     matches.iter().map(|pair| point_pair(first, second, *pair)).collect()
 }
 
-/// What a camera did between two images.
+/// What a camera did between two images that show something together, as parts of what makes the
+/// later one a key frame.
 struct KeyFrameStep {
-    /// Matches that agree.
-    matches: usize,
-    /// How much the later image adds, 1 for enough; `None` where they show nothing together.
-    novelty: Option<f64>,
+    /// Displacement and parallax.
+    motion: f64,
+    /// The part of the compared features that agree on nothing. Around a thing that stays in the
+    /// middle of the image it grows where displacement and parallax of what is left do not: all of
+    /// them lost is a new view, whatever they say.
+    lost: f64,
 }
 
 impl KeyFrameStep {
-    fn between(first: &SceneImage, second: &SceneImage) -> Self {
+    /// `None` of images that show nothing together.
+    fn between(first: &SceneImage, second: &SceneImage) -> Option<Self> {
         let pairs = strongest_matches(first, second);
-        let Some(geometry) = two_view_geometry(&pairs, second.size) else {
-            return Self { matches: 0, novelty: None };
-        };
+        let features = compared_features(first, second);
+        let geometry = scene_geometry(&pairs, features, second.size)?;
+        if geometry.kind == TwoViewKind::Still {
+            let step = Self { motion: 0.0, lost: 0.0 };
+            return is_one_view(&geometry, features).then_some(step);
+        }
         let diagonal_px = second.size.diagonal_px();
-        let novelty = match geometry.kind {
-            TwoViewKind::Still => 0.0,
-            _ => {
-                geometry.displacement_px / (DISPLACED * diagonal_px)
-                    + parallax_px(&geometry, &pairs) / (PARALLAX * diagonal_px)
-            }
-        };
-        Self { matches: geometry.inliers.len(), novelty: Some(novelty) }
+        let motion = geometry.displacement_px / (DISPLACED * diagonal_px)
+            + parallax_px(&geometry, &pairs) / (PARALLAX * diagonal_px);
+        let lost = (1.0 - geometry.inliers.len() as f64 / features.max(1) as f64).max(0.0);
+        Some(Self { motion, lost })
     }
 
-    fn is_small(&self) -> bool {
-        self.novelty.is_some_and(|novelty| novelty < 1.0)
-    }
-
-    fn known(&self) -> Result<(), Rejection> {
-        let Self { matches, novelty } = *self;
-        novelty.map(drop).ok_or(Rejection::UnknownScene { matches })
+    /// Refuses a step from key frame `view` that is too small.
+    fn check(&self, view: u32) -> Result<(), Rejection> {
+        let Self { motion, lost } = *self;
+        if motion < HELD_STILL {
+            Err(Rejection::TooSimilar { view })
+        } else if motion + lost >= 1.0 {
+            Ok(())
+        } else {
+            Err(Rejection::SmallStep { view, part: motion + lost })
+        }
     }
 }
 
@@ -130,14 +160,16 @@ fn parallax_px(geometry: &TwoViewGeometry, pairs: &[PointPair]) -> f64 {
     median(away.collect()).unwrap_or(0.0)
 }
 
-/// The key frame that shares most of its strongest features with `image`.
-fn most_similar<'a>(image: &SceneImage, kept: &'a [KeyFrame]) -> Option<&'a KeyFrame> {
+/// The key frames that may share something with `image`, by how many of their strongest features
+/// it shares, the most first.
+fn most_similar_first<'a>(image: &SceneImage, kept: &'a [KeyFrame]) -> Vec<&'a KeyFrame> {
     let table = image.table(PREVIEWED);
-    let shared = |key: &&KeyFrame| {
+    let shared = |key: &KeyFrame| {
         let matches = match_descriptors(&key.image.table(PREVIEWED), &table).len();
         (matches, key.number)
     };
-    let (best, (matches, _)) =
-        kept.iter().map(|key| (key, shared(&key))).max_by_key(|(_, s)| *s)?;
-    (matches >= LEAST_PREVIEWED).then_some(best)
+    let mut similar: Vec<_> = kept.iter().map(|key| (shared(key), key)).collect();
+    similar.retain(|((matches, _), _)| *matches >= LEAST_PREVIEWED);
+    similar.sort_by_key(|(shared, _)| std::cmp::Reverse(*shared));
+    similar.into_iter().map(|(_, key)| key).collect()
 }

@@ -25,6 +25,7 @@ mod pairs;
 mod progress;
 mod resume;
 mod scene_part;
+mod scene_steps;
 mod sharing;
 mod together;
 

@@ -10,6 +10,7 @@ use crate::calibration::scene::so_far::SceneSoFar;
 use crate::calibration::session::action::{CameraFrame, FrameContent};
 use crate::calibration::session::ending::LEAST_VIEWS;
 use crate::calibration::session::progress::{FrameTime, Obstacle};
+use crate::calibration::session::scene_steps::Steps;
 use crate::calibration::session_record::{Finish, SessionMember};
 use crate::calibration::view::FrameFacts;
 use crate::geometry::pixel::ImageSize;
@@ -20,9 +21,6 @@ const LEAST_KEY_FRAMES_FOR_GOAL: u32 = 6;
 /// What to do before the first estimate.
 const FIRST_STEP: &str =
     "step sideways, keeping the scene in view, and turn the camera by 90 degrees now and then";
-/// Why images share nothing with those before, and what to do.
-const STEPS_TOO_LARGE: &str =
-    "the steps were too large for images to share anything; start again with smaller ones";
 
 /// One camera's part of a session without a target.
 #[derive(Debug, Clone)]
@@ -34,6 +32,7 @@ pub struct ScenePart {
     obstacle: Obstacle,
     next_step: String,
     is_trusted: bool,
+    steps: Steps,
     estimating: bool,
     /// A key frame was kept while an estimate was being made.
     estimate_outdated: bool,
@@ -56,6 +55,7 @@ impl ScenePart {
             obstacle: Obstacle::default(),
             next_step: FIRST_STEP.to_owned(),
             is_trusted: false,
+            steps: Steps::default(),
             estimating: false,
             estimate_outdated: false,
         }
@@ -106,15 +106,35 @@ impl ScenePart {
             Err(rejection) => return Err(rejection.clone()),
         };
         let is_full = self.key_frames.len() >= self.limit;
-        admit_key_frame(image, &self.key_frames).inspect_err(|rejection| {
+        let admission = admit_key_frame(image, self.steps.before(), &self.key_frames);
+        self.steps.note(image, &admission);
+        if let Err(rejection) = admission
+            && !self.starts_anew(&rejection)
+        {
             // What was kept before is in it.
             self.summary.boards_seen += u64::from(rejection.is_known_already());
-        })?;
+            return Err(rejection);
+        }
         self.summary.boards_seen += 1;
         if is_full {
             return Err(Rejection::Full { limit: self.limit as u32 });
         }
         Ok(self.add(&seen.frame, image))
+    }
+
+    /// Whether a frame that shows nothing of the key frames becomes one nevertheless: these are too
+    /// few to be solved, most frames are of something else, the operator was asked to go back and
+    /// went on, and the frame shows what the one before does.
+    fn starts_anew(&self, rejection: &Rejection) -> bool {
+        let Rejection::UnknownScene { matches } = *rejection else { return false };
+        let is_lasting = self.obstacle.lasting().is_some_and(|it| it.kind() == rejection.kind());
+        let (unknown, shared) = (self.unknown(), self.summary.boards_seen);
+        matches > 0 && is_lasting && unknown > shared && self.key_frames.len() < LEAST_VIEWS
+    }
+
+    /// How many frames showed nothing of the key frames.
+    fn unknown(&self) -> u64 {
+        self.summary.rejected.of("unknown_scene")
     }
 
     /// Takes back a key frame as it was stored.
@@ -144,15 +164,14 @@ impl ScenePart {
         let kinds = ["too_similar", "unknown_scene", "no_texture", "other_image_size"];
         let most = kinds.into_iter().max_by_key(rejected);
         let why = match most.filter(|kind| rejected(kind) > 0) {
-            Some("too_similar") => {
-                "the camera stood still or hardly moved; start again and move it around the scene"
+            Some("too_similar" | "unknown_scene") => {
+                self.steps.why_few(rejected(&"too_similar"), self.unknown())
             }
-            Some("unknown_scene") => STEPS_TOO_LARGE,
-            Some("other_image_size") => SIZE_CHANGED,
+            Some("other_image_size") => SIZE_CHANGED.to_owned(),
             Some(_) => {
-                "the images have too little texture or are blurred; start again in front of something with texture"
+                "the images have too little texture or are blurred; start again in front of something with texture".to_owned()
             }
-            None => "start again and move the camera around the scene",
+            None => "start again and move the camera around the scene".to_owned(),
         };
         Err(format!("{kept} key frames were kept and at least {LEAST_VIEWS} are needed: {why}"))
     }
@@ -161,15 +180,13 @@ impl ScenePart {
     /// of them does: of the key frames alone it has no sign of the others. More key frames that share
     /// something are an answer, whatever the camera saw besides.
     fn check_connected(&self) -> Result<(), String> {
-        let (unknown, shared) =
-            (self.summary.rejected.of("unknown_scene"), self.summary.boards_seen);
+        let (unknown, shared) = (self.unknown(), self.summary.boards_seen);
         if unknown <= shared || self.key_frames.len() >= LEAST_KEY_FRAMES_FOR_GOAL as usize {
             return Ok(());
         }
         let images = unknown + shared;
-        Err(format!(
-            "{unknown} of {images} images share too little with the key frames: {STEPS_TOO_LARGE}"
-        ))
+        let why = self.steps.why_unknown();
+        Err(format!("{unknown} of {images} images share too little with the key frames: {why}"))
     }
 
     /// Whether the key frames reach the goals of `finish` but for its time.

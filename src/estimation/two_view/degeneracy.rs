@@ -68,6 +68,9 @@ pub fn two_view_geometry(pairs: &[PointPair], size: ImageSize) -> Option<TwoView
     if let Some(still) = still(pairs) {
         return Some(still);
     }
+    if pairs.len() < LEAST_INLIERS {
+        return None;
+    }
     let epipolar = Epipolar { pairs, size };
     let Consensus { model, inliers, limit_px, .. } =
         ransac(&epipolar, &RansacOptions { max_limit_px: 4.0, ..RansacOptions::default() })?;

@@ -1,0 +1,79 @@
+//! How a camera went from image to image before a scene, where that is why its key frames are too
+//! few.
+
+use crate::calibration::admission::Rejection;
+use crate::calibration::scene::correspondence::SceneImage;
+
+/// The last frames of another scene that are counted.
+const COUNTED: usize = 100;
+/// Images that show nothing of the key frames are no reason where this many times as many do.
+const FEW: u64 = 4;
+
+/// The steps of one camera.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Steps {
+    before: Option<SceneImage>,
+    /// Of the last frames that showed nothing of the key frames, how many matches with the frame
+    /// before agreed.
+    between_neighbors: Vec<usize>,
+    /// A step was too small, but larger than those of a camera that is held still.
+    has_moved: bool,
+}
+
+impl Steps {
+    /// The last image.
+    pub(super) fn before(&self) -> Option<&SceneImage> {
+        self.before.as_ref()
+    }
+
+    /// Takes the next image and what became of it.
+    pub(super) fn note(&mut self, image: &SceneImage, admission: &Result<(), Rejection>) {
+        self.before = Some(image.clone());
+        match admission {
+            Err(Rejection::UnknownScene { matches }) => {
+                if self.between_neighbors.len() == COUNTED {
+                    self.between_neighbors.remove(0);
+                }
+                self.between_neighbors.push(*matches);
+            }
+            Err(Rejection::SmallStep { .. }) => self.has_moved = true,
+            _ => {}
+        }
+    }
+
+    /// Why key frames are few of which `similar` images show too little new, and `unknown` nothing.
+    pub(super) fn why_few(&self, similar: u64, unknown: u64) -> String {
+        // Someone who walks past a camera hides the scene in a few images.
+        let unknown = if unknown * FEW < similar { 0 } else { unknown };
+        match (similar, unknown) {
+            (0, _) => self.why_unknown(),
+            (_, 0) if self.has_moved => {
+                "the camera moved too little; start again and move it around the scene, or sideways by a tenth of its distance and more".to_owned()
+            }
+            (_, 0) => {
+                "the camera stood still or hardly moved; start again and move it around the scene".to_owned()
+            }
+            _ => format!(
+                "{similar} images are too much like them, {unknown} show nothing of them; {}",
+                self.why_unknown()
+            ),
+        }
+    }
+
+    /// Why images share nothing with key frames, and what to do.
+    pub(super) fn why_unknown(&self) -> String {
+        let mut counts = self.between_neighbors.clone();
+        counts.sort_unstable();
+        match counts.get(counts.len() / 2) {
+            Some(0) => {
+                "neighbors share nothing (a median of 0 matches agree): the steps were too large or the texture too little; start again with smaller steps, in front of something with texture".to_owned()
+            }
+            Some(median) => format!(
+                "neighbors share a median of {median} matches: the camera went on to another scene, or around this one by too large steps; start again with smaller steps, and keep one scene in view"
+            ),
+            None => {
+                "the steps were too large for images to share anything; start again with smaller steps".to_owned()
+            }
+        }
+    }
+}
