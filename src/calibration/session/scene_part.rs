@@ -10,7 +10,7 @@ use crate::calibration::scene::so_far::SceneSoFar;
 use crate::calibration::session::action::{CameraFrame, FrameContent};
 use crate::calibration::session::ending::LEAST_VIEWS;
 use crate::calibration::session::progress::{FrameTime, Obstacle};
-use crate::calibration::session::scene_steps::Steps;
+use crate::calibration::session::scene_steps::SceneSteps;
 use crate::calibration::session_record::{Finish, SessionMember};
 use crate::calibration::view::FrameFacts;
 use crate::geometry::pixel::ImageSize;
@@ -32,7 +32,7 @@ pub struct ScenePart {
     obstacle: Obstacle,
     next_step: String,
     is_trusted: bool,
-    steps: Steps,
+    steps: SceneSteps,
     estimating: bool,
     /// A key frame was kept while an estimate was being made.
     estimate_outdated: bool,
@@ -55,7 +55,7 @@ impl ScenePart {
             obstacle: Obstacle::default(),
             next_step: FIRST_STEP.to_owned(),
             is_trusted: false,
-            steps: Steps::default(),
+            steps: SceneSteps::default(),
             estimating: false,
             estimate_outdated: false,
         }

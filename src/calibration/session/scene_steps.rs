@@ -11,7 +11,7 @@ const FEW: u64 = 4;
 
 /// The steps of one camera.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Steps {
+pub(super) struct SceneSteps {
     before: Option<SceneImage>,
     /// Of the last frames that showed nothing of the key frames, how many matches with the frame
     /// before agreed.
@@ -20,7 +20,7 @@ pub(super) struct Steps {
     has_moved: bool,
 }
 
-impl Steps {
+impl SceneSteps {
     /// The last image.
     pub(super) fn before(&self) -> Option<&SceneImage> {
         self.before.as_ref()
