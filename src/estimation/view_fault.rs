@@ -62,21 +62,12 @@ pub enum ViewFault {
     },
     /// It fits best with a motion that the other views rule out.
     #[error(
-        "by its corners the board moved{} while it was read: mirrored, of another camera, or moved too fast",
-        against_others(*times)
+        "by its corners the board moved {times:.1} times as far as the other views let expect while it was read, and they do not fit then either: mirrored, or of another camera"
     )]
     OddMotion {
-        /// In root mean squares of what the other views show; infinite where they show no motion.
+        /// In root mean squares of what the other views show.
         times: f64,
     },
-}
-
-fn against_others(times: f64) -> String {
-    if times.is_finite() {
-        format!(" {times:.1} times as far as the other views let expect")
-    } else {
-        ", as by no other view's,".into()
-    }
 }
 
 /// A line of a chessboard's corners.

@@ -257,9 +257,8 @@ impl WalkStart<'_> {
             let Some(view) = good.iter().copied().max_by(worst) else { break };
             let others: Vec<usize> = good.iter().copied().filter(|other| *other != view).collect();
             let without = Scene { good: &others, ..scene };
-            let Some(gain) = weighed.walk.motion_gain(scene) else { break };
             let rest = fresh.settled_or_bare(without, wanted);
-            let odd = rest.and_then(|rest| rest.odd_motion(scene, view, gain));
+            let odd = rest.and_then(|rest| rest.odd_motion(scene, view));
             let Some(times) = odd else { break };
             // Where the others show no effect at all there is no fit beside effects to go on from.
             let Some(next) = fresh.weighed(without, wanted, width) else { break };

@@ -5,33 +5,29 @@ use std::rc::Rc;
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimation::effects::search::{EffectSearch, LEAST_GROUP_GAIN};
+use crate::estimation::effects::search::EffectSearch;
 use crate::estimation::effects::state::Scene;
 use crate::estimation::student::normal_deviations_of_ratio;
 
 /// The part of a component's variance that rounding could leave undetermined.
 const ROUNDING_PART: f64 = 1e-6;
 
-/// A motion is odd from this many standard deviations on: one view in four thousand is by chance, one
-/// of fifteen in one set of three hundred, if all boards move alike.
+/// A motion is odd, and what it leaves is more than noise, from this many standard deviations on: one
+/// view in four thousand is by chance, if all boards move alike.
 const ODD: f64 = 3.5;
 
-/// Or where a view's part in the evidence for motion is this many times that of all others, which is
-/// less than what motion needs to be believed. Chosen, not swept.
-const ALONE: f64 = 4.0;
-
 impl EffectSearch {
-    /// How many times as far `view` of `scene` moved as the others let expect, where that is odd.
-    /// This walk is one of all others, at its minimum: with the view among them it would have a part
-    /// in what the variance of motion is. `gain` is the evidence for motion, as its
-    /// logarithm, with the view: infinite is the answer where the others show none.
+    /// How many times as far `view` of `scene` moved as the others let expect, where that is odd, and
+    /// its corners do not fit then either: of a board that moved fast they do. This walk is one of all
+    /// others, at its minimum: with the view among them it would have a part in what the variance of
+    /// motion is. `None` where they do not move.
     ///
     /// Under a prior of variance P the posterior's mean m of a motion is distributed with variance
     /// P − V, V being the posterior's: mᵀ (P − V)⁻¹ m is χ² with as many degrees of freedom as the
     /// motion has numbers, and Fisher's F where P is itself estimated.
-    pub(super) fn odd_motion(self, scene: Scene<'_>, view: usize, gain: f64) -> Option<f64> {
+    pub(super) fn odd_motion(self, scene: Scene<'_>, view: usize) -> Option<f64> {
         if !self.moves() {
-            return (gain >= (1.0 + ALONE) * LEAST_GROUP_GAIN).then_some(f64::INFINITY);
+            return None;
         }
         let mut walk = self;
         let others: Vec<usize> =
@@ -74,6 +70,17 @@ impl EffectSearch {
         let square = motion.dot(&spread.cholesky()?.solve(&motion)) / noise_square;
         let ratio = square / rows.len() as f64;
         let deviations = normal_deviations_of_ratio(ratio, [rows.len() as f64, determined]);
-        (deviations >= ODD).then_some(ratio.sqrt())
+        (deviations >= ODD && walk.misfit(scene, view, noise_square) >= ODD).then_some(ratio.sqrt())
+    }
+
+    /// How far what is left of a view's corners is beyond noise, as that many standard deviations of
+    /// a normal distribution; twelve numbers of the view were fitted to it.
+    fn misfit(&self, scene: Scene<'_>, view: usize, noise_square: f64) -> f64 {
+        let used = self.system.residuals[view].iter().zip(&scene.observations[view].used);
+        let squares = used.filter(|(_, used)| **used).map(|([x, y], _)| x * x + y * y);
+        let (sum, count) = squares.fold((0.0, 0.0), |(sum, n), square| (sum + square, n + 2.0));
+        let freedom = f64::max(count - 12.0, 1.0);
+        let of_others = self.system.residual_count as f64 - count;
+        normal_deviations_of_ratio(sum / freedom / noise_square, [freedom, of_others])
     }
 }

@@ -356,16 +356,6 @@ impl EffectSearch {
         Some((idle, posterior))
     }
 
-    /// What the views' motion raises the logarithm of the evidence by; 0 without.
-    pub(super) fn motion_gain(&self, scene: Scene<'_>) -> Option<f64> {
-        let basis = Rc::clone(&self.basis);
-        let scene = self.narrowed(scene, &basis);
-        let mut motions = self.variances.effects();
-        motions.retain(|effect| effect.is_motion());
-        let with = self.log_evidence(scene, &self.variances)?;
-        Some(with - self.log_evidence(scene, &self.variances.held(&motions))?)
-    }
-
     pub(super) fn log_evidence(&self, scene: Scene<'_>, variances: &Variances) -> Option<f64> {
         Some(self.reduced(scene, variances)?.log_evidence(&self.state))
     }
