@@ -25,7 +25,7 @@ pub struct ChooseArgs {
     order: bool,
 }
 
-/// An image that lowers the uncertainty by a smaller part teaches nothing that shows in a result.
+/// An image that lowers the uncertainty by a smaller part teaches little: it would be printed as 0 %.
 const SEEN_GAIN: f64 = 0.005;
 
 /// A problem's images: its views, and the others with their places.

@@ -7,8 +7,8 @@ use crate::estimation::error::EstimationError;
 use crate::estimation::problem::GivenParameter;
 use crate::geometry::pixel::ImageSize;
 
-/// The least that the longer side of an image shows, in degrees: a hundredth of what the longest
-/// lenses of photographers show, less than part of a telescope's image does.
+/// The least that the longer side of an image shows, in degrees. Chosen: a lens of 1200 mm shows 1.7,
+/// and an image may be a part of one behind a telescope.
 const LEAST_DEGREES: f64 = 0.01;
 /// The least of a circle of all directions in an image, as a part of its shorter side. Chosen.
 const LEAST_CIRCLE: f64 = 0.25;

@@ -39,7 +39,8 @@ const DISPLACED: f64 = 0.08;
 /// the median. Half as much depth as distance gives a quarter of the displacement.
 const PARALLAX: f64 = 0.02;
 /// A camera that moved by less than this part of a key frame's step stands still in a hand, whatever
-/// is not found again: blur, noise and what moves in front of it lose features as well.
+/// is not found again: blur, noise and what moves in front of it lose features as well. Chosen, not
+/// swept.
 const HELD_STILL: f64 = 0.1;
 
 /// A frame that a session keeps.
@@ -116,7 +117,7 @@ struct KeyFrameStep {
     /// Displacement and parallax.
     motion: f64,
     /// The part of the compared features that agree on nothing. Around a thing that stays in the
-    /// middle of the image it grows where displacement and parallax of what is left do not: all of
+    /// middle of the image it grows where displacement and parallax of other matches do not: all of
     /// them lost is a new view, whatever they say.
     lost: f64,
 }

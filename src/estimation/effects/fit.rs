@@ -190,7 +190,7 @@ impl WalkStart<'_> {
         }
     }
 
-    /// What is left of every corner where nothing moves.
+    /// Every corner's residuals in a fit without motion.
     fn still_residuals(
         &self,
         weighed: &Weighed,
@@ -203,8 +203,8 @@ impl WalkStart<'_> {
         Some(still.system.residuals)
     }
 
-    /// A walk without the views that do not fit where nothing moves, and leave the `residuals`
-    /// there, if the others show no motion.
+    /// A walk without the views that are outliers in the fit without motion, which has these
+    /// `residuals`, if the others show no motion.
     fn without_few(
         &self,
         residuals: &[Vec<[f64; 2]>],
@@ -233,7 +233,7 @@ impl WalkStart<'_> {
     }
 
     /// `weighed`, but for views that moved as the others rule out, one after the other: each time
-    /// the one that fits worst where nothing moves, which leaves the `residuals`, is asked.
+    /// the one with the largest `residuals` in the fit without motion is tested.
     fn without_odd(
         &self,
         mut weighed: Weighed,

@@ -9,11 +9,12 @@ use crate::estimation::effects::search::EffectSearch;
 use crate::estimation::effects::state::Scene;
 use crate::estimation::student::normal_deviations_of_ratio;
 
-/// The part of a component's variance that rounding could leave undetermined.
+/// What is added to P − V, as a part of P: of a component that the data leave open both are equal,
+/// and their difference is rounding. Not swept.
 const ROUNDING_PART: f64 = 1e-6;
 
-/// A motion is odd, and what it leaves is more than noise, from this many standard deviations on: one
-/// view in four thousand is by chance, if all boards move alike.
+/// A motion is odd, and residuals are more than noise, from this many standard deviations on: one view
+/// in four thousand is by chance, if all boards move alike. Chosen, not swept.
 const ODD: f64 = 3.5;
 
 impl EffectSearch {
@@ -73,8 +74,8 @@ impl EffectSearch {
         (deviations >= ODD && walk.misfit(scene, view, noise_square) >= ODD).then_some(ratio.sqrt())
     }
 
-    /// How far what is left of a view's corners is beyond noise, as that many standard deviations of
-    /// a normal distribution; twelve numbers of the view were fitted to it.
+    /// By how much a view's residuals exceed noise, as that many standard deviations of a normal
+    /// distribution; six numbers of its pose and six of its motion were fitted.
     fn misfit(&self, scene: Scene<'_>, view: usize, noise_square: f64) -> f64 {
         let used = self.system.residuals[view].iter().zip(&scene.observations[view].used);
         let squares = used.filter(|(_, used)| **used).map(|([x, y], _)| x * x + y * y);
