@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
-use crate::guest::processor_time;
+use crate::guest::{PLUMB, processor_time};
 
 const ADDRESS: &str = "127.0.0.1:8600";
 /// Longer than anything asked for here takes, in software emulation too.
@@ -43,7 +43,7 @@ impl Daemon {
         let notify = format!("{folder}/notify");
         let socket = UnixDatagram::bind(&notify).unwrap();
         socket.set_read_timeout(Some(LIMIT)).unwrap();
-        let child = Command::new(env!("CARGO_BIN_EXE_plumb"))
+        let child = Command::new(PLUMB)
             .args(["serve", "--config", &config])
             .env("RUST_LOG", "warn")
             .env("NOTIFY_SOCKET", &notify)

@@ -4,9 +4,10 @@ use std::process::Command;
 
 use serde_json::Value;
 
+use crate::guest::PLUMB;
+
 pub fn every_camera_is_listed_with_its_names_and_formats() -> String {
-    let plumb = env!("CARGO_BIN_EXE_plumb");
-    let output = Command::new(plumb).args(["devices", "--json"]).output().unwrap();
+    let output = Command::new(PLUMB).args(["devices", "--json"]).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let document: Value = serde_json::from_slice(&output.stdout).unwrap();
     let backends = document["backends"].as_array().unwrap();
@@ -31,7 +32,7 @@ pub fn every_camera_is_listed_with_its_names_and_formats() -> String {
     assert!(
         controls.iter().any(|control| control["name"] == "brightness" && control["value"] == 128)
     );
-    let text = Command::new(plumb).arg("devices").output().unwrap();
+    let text = Command::new(PLUMB).arg("devices").output().unwrap();
     assert!(String::from_utf8(text.stdout).unwrap().contains("device = \"/dev/video0\""));
     format!(
         "{} devices, {} formats of vivid of which {} are read, {} controls",

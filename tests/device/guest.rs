@@ -14,6 +14,8 @@ use plumb::imaging::decode;
 use plumb::imaging::frame::FrameSet;
 use plumb::imaging::gray::GrayImage;
 
+/// The program under test, as the host put it here.
+pub const PLUMB: &str = "/run/out/plumb";
 /// The first vivid camera.
 pub const VIVID: &str = "/dev/video0";
 /// Longer than any frame takes to come, in software emulation too.

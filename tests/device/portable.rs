@@ -13,7 +13,7 @@ use plumb::imaging::frame::PixelFormat;
 use plumb::imaging::gray::GrayImage;
 use serde_json::Value;
 
-use crate::guest::{PATIENCE, VIVID, footprint, frames_until_error, luma_of};
+use crate::guest::{PATIENCE, PLUMB, VIVID, footprint, frames_until_error, luma_of};
 use crate::usb::{SERIAL, listed};
 use crate::usb_camera::{CameraModel, UsbCamera};
 use crate::walk::WALK;
@@ -199,8 +199,7 @@ pub fn two_cameras_and_one_in_use() -> String {
     assert!(deep.to_string().contains("no format Y16; through nokhwa it offers GREY"), "{deep}");
     native(1).open().unwrap().next_frame(PATIENCE).unwrap();
 
-    let plumb = env!("CARGO_BIN_EXE_plumb");
-    let output = Command::new(plumb).args(["devices", "--json"]).output().unwrap();
+    let output = Command::new(PLUMB).args(["devices", "--json"]).output().unwrap();
     let document: Value = serde_json::from_slice(&output.stdout).unwrap();
     let backends = document["backends"].as_array().unwrap();
     let names = |backend: &str| -> Vec<String> {

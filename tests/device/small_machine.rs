@@ -41,12 +41,13 @@ fn runs(script: &Path, names: &[String], unit: Option<&str>) -> bool {
             "v4l2loopback devices=2 video_nr=20,21 card_label=Walk,Street exclusive_caps=0,0",
         ])
         .args(["-m", "vhci_hcd", "-m", "uvcvideo"]);
+    // The service sees neither /tmp nor /home, where the program may lie; and it stays as it is when
+    // another build puts its own in the program's place.
+    let copy = out.path().join("plumb");
+    let mut strip = Command::new("strip");
+    strip.arg("-o").arg(copy).arg(env!("CARGO_BIN_EXE_plumb"));
+    assert!(strip.status().unwrap().success());
     if let Some(unit) = unit {
-        // The service sees neither /tmp nor /home, where the program may lie.
-        let copy = out.path().join("plumb");
-        let mut strip = Command::new("strip");
-        strip.arg("-o").arg(copy).arg(env!("CARGO_BIN_EXE_plumb"));
-        assert!(strip.status().unwrap().success());
         command.args(["-u", unit]);
     }
     command.arg("--").arg(program).args(names).status().unwrap().success()

@@ -7,11 +7,9 @@ use std::process::Command;
 use serde_json::{Value, json};
 
 use crate::daemon::Daemon;
-use crate::guest::node_of;
+use crate::guest::{PLUMB, node_of};
 use crate::usb::{self, SERIAL, listed};
 
-/// Where `small_machine::run_unit` puts the program.
-const PROGRAM: &str = "/run/out/plumb";
 const VIDEO_GROUP: &str = "video";
 
 /// What udev's own rules do, which is not there.
@@ -28,7 +26,7 @@ fn plug_in() -> crate::usb_camera::UsbCamera {
 }
 
 pub fn the_confined_service_reads_cameras_and_keeps_views() -> String {
-    fs::copy(PROGRAM, "/usr/bin/plumb").unwrap();
+    fs::copy(PLUMB, "/usr/bin/plumb").unwrap();
     let vivid = node_of("vivid-000-vid-cap");
     give_to_the_video_group(vivid.to_str().unwrap());
     let plugged = plug_in();
