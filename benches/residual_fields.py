@@ -2,7 +2,7 @@
 
     PLUMB=target/release/plumb target/venv/bin/python benches/residual_fields.py --board 9x6 --square 30mm --out fields.png PHOTO…
 
-Left: `--board-shape flat`; right: `auto`. Above: mean residual of each corner over all views, over the board. Middle: mean residual in each
+Left: `--board-shape flat --shutter global`; right: `auto` of both. Above: mean residual of each corner over all views, over the board. Middle: mean residual in each
 part of the image. Below: mean residual of each view along x (red) and y (blue), in the order of the photographs. A model that holds leaves
 arrows and bars without a pattern, as long as noise makes them. Residuals are measured − projected, projected from the document.
 """
@@ -157,8 +157,8 @@ def main():
     lines = plumb("detect", "--board", asked.board, "--allow-partial", "--json", *asked.photos).splitlines()
     detections = {one["path"]: one for one in map(json.loads, lines) if one["found"]}
     columns, px_per_px = [], None
-    for shape in ("flat", "auto"):
-        options = ["--board", asked.board, "--square", asked.square, "--lens", asked.lens, "--board-shape", shape]
+    for shape, shutter in (("flat", "global"), ("auto", "auto")):
+        options = ["--board", asked.board, "--square", asked.square, "--lens", asked.lens, "--board-shape", shape, "--shutter", shutter]
         calibration = json.loads(plumb("calibrate", *options, "--json", *asked.photos))
         sensor = next(iter(calibration["sensors"].values()))
         views = list(residuals(calibration, detections))

@@ -1,0 +1,77 @@
+//! The board that is seen in place of the one that was asked for is named.
+
+use plumb::detection::board_detection::DetectOptions;
+use plumb::detection::coded::recognition::recognize;
+use plumb::detection::finder::TargetFinder;
+use plumb::geometry::target::{CharucoBoard, Target, chessboard};
+use plumb::imaging::gray::GrayImage;
+
+use crate::coded_targets::{april_grid, charuco, image};
+use crate::real_boards::decoded;
+use crate::shared_data::shared_data;
+
+/// Longer than a chessboard in a sequence may be lost before another board is looked for.
+const A_SECOND: usize = 31;
+
+/// Why the board is not found in an image alone.
+fn reason_of(finder: &mut TargetFinder, image: &GrayImage) -> String {
+    finder.find(image.view(), &DetectOptions::default()).expect_err("another board").to_string()
+}
+
+#[test]
+fn another_board_with_markers_is_named() {
+    let board = charuco("DICT_4X4_50", 5, true);
+    let shown = Target::Charuco(CharucoBoard { marker_m: 0.02, ..board });
+    let asked = Target::Charuco(charuco("DICT_5X5_100", 6, false));
+    let (image, _) = image(&shown, 400);
+    let mut finder = TargetFinder::new(&asked);
+    let reason = reason_of(&mut finder, &image);
+    for word in ["7x5 ChArUco board (DICT_4X4_50)", "of a square", "7x6 ChArUco board"] {
+        assert!(reason.contains(word), "{reason}");
+    }
+    // In a sequence the name stands while that board is seen.
+    for _ in 0..3 {
+        let none = finder.track(image.view(), &DetectOptions::default());
+        assert_eq!(none.expect_err("another board").to_string(), reason);
+    }
+    let plain = chessboard(6, 5, 0.04).expect("a board");
+    assert_eq!(recognize(self::image(&plain, 601).0.view()), None);
+}
+
+#[test]
+fn a_board_with_markers_is_named_where_a_chessboard_is_asked_for() {
+    let asked = chessboard(9, 6, 0.04).expect("a board");
+    let options = DetectOptions::default();
+    for (shown, name) in [
+        (Target::Charuco(charuco("DICT_5X5_100", 6, true)), "7x6 ChArUco board (DICT_5X5"),
+        (Target::AprilGrid(april_grid("tag36h11", 2, 0)), "AprilGrid (tag36h11)"),
+    ] {
+        let (image, _) = image(&shown, 402);
+        let mut finder = TargetFinder::new(&asked);
+        let reason = reason_of(&mut finder, &image);
+        assert!(reason.contains(name) && reason.contains("not the 9x6 chessboard"), "{reason}");
+        let mut last = String::new();
+        for frame in 0..A_SECOND {
+            let none = finder.track(image.view(), &options).expect_err("another board");
+            assert_eq!(frame + 1 == A_SECOND, none.names_another(), "frame {frame}: {none}");
+            last = none.to_string();
+        }
+        assert_eq!(last, reason);
+    }
+}
+
+/// Photographs of a webcam: nobody who asks for a chessboard there should be told of a small one.
+#[test]
+fn a_real_charuco_board_is_named_where_a_chessboard_is_asked_for() {
+    let Some(folder) = shared_data("charuco-lifecam") else { return };
+    let folder = folder.join("2024-05-07_lifecam_1280");
+    let mut photographs: Vec<_> =
+        std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+    photographs.sort();
+    let mut finder = TargetFinder::new(&chessboard(9, 6, 0.04).expect("a board"));
+    let is_named = |path: &std::path::PathBuf| {
+        reason_of(&mut finder, &decoded(path)).contains("ChArUco board (DICT_4X4")
+    };
+    let named = photographs.iter().take(8).filter(|path| is_named(path)).count();
+    assert!(named >= 6, "named in {named} of 8");
+}
