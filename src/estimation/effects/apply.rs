@@ -1,4 +1,4 @@
-//! Effects added to a plain fit.
+//! Adds board shape and motion to a plain fit, one of lens and poses only.
 
 use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::effects::effect::Wanted;
@@ -10,13 +10,13 @@ use crate::estimation::problem::{BoardShape, CameraOptions, Shutter};
 use crate::estimation::robust::Loss;
 use crate::geometry::pixel::ImageSize;
 
-/// A fit of one camera carried on with what the views show of the board's shape and motion; as it
-/// was where they show none.
+/// Continues the fit of one camera with the board's shape and motion, as far as the views show
+/// them. Returns the fit unchanged where they show neither.
 pub(crate) fn with_effects(fit: CameraFit, size: ImageSize, options: &CameraOptions) -> CameraFit {
     with_effects_from(fit, None, size, options)
 }
 
-/// As [`with_effects`], beginning with what another fit of the same views `found`.
+/// As [`with_effects`], starting from the effects `found` in another fit of the same views.
 pub(crate) fn with_effects_from(
     fit: CameraFit,
     found: Option<&EffectsFit>,
@@ -32,9 +32,9 @@ pub(crate) fn with_effects_from(
     CameraFit { shutter_doubt, ..with.unwrap_or(fit) }
 }
 
-/// A plain fit carried on with the very effects that another lens's fit to the same corners
-/// `found`, so that two lenses can be compared: what one view's motion takes up, no lens is better
-/// for.
+/// Continues a plain fit with the same effects that were `found` with another lens on the same
+/// corners. Two lenses can then be compared: neither gains from motion that is fitted to a single
+/// view.
 pub(crate) fn with_same_effects(
     fit: &CameraFit,
     found: &EffectsFit,
@@ -52,7 +52,7 @@ pub(crate) fn may_have_effects(fit: &CameraFit, size: ImageSize, options: &Camer
     wanted(fit, options).and_then(|wanted| plausible(fit, size, wanted)).is_some()
 }
 
-/// The effects that are asked for; `None` where there are none, or the fit can have none.
+/// The effects to search for. `None` where the options ask for none, or the fit cannot have any.
 fn wanted(fit: &CameraFit, options: &CameraOptions) -> Option<Wanted> {
     let wanted = Wanted {
         shape: options.board_shape != BoardShape::Flat && options.measured_board.is_none(),
@@ -81,7 +81,7 @@ fn carried_on(
     let mut minimum = Minimum::start(&plain.layout, state, &observations, Loss::Squares)?;
     if found.shutter_agreement < 1.0 {
         let stop = Stop { lambda: 0.0, ..Stop::default() };
-        // The mean of two minima is few steps from its own.
+        // The mean of two minima is only a few steps from a minimum of its own.
         minimum = minimum.descend(&plain.layout, &observations, Loss::Squares, stop);
     }
     fit.robust.minimum = minimum;

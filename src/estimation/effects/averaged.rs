@@ -1,7 +1,7 @@
-//! One result of two models that the views do not decide between, with a rolling shutter and
-//! without: their weighted mean (J. A. Hoeting, D. Madigan, A. E. Raftery, C. T. Volinsky,
-//! *Bayesian model averaging: a tutorial*, 1999, equations 1 to 3). A choice of one of them would
-//! jump as single views come and go.
+//! The weighted mean of two models, with a rolling shutter and without, where the views do not
+//! decide between them (J. A. Hoeting, D. Madigan, A. E. Raftery, C. T. Volinsky, *Bayesian model
+//! averaging: a tutorial*, 1999, equations 1 to 3). Choosing one of the two would make the result
+//! jump when a single view is added or removed.
 
 use nalgebra::{DMatrix, DVector, Matrix6};
 
@@ -15,11 +15,11 @@ use crate::geometry::lens::Lens;
 use crate::geometry::pose::{Pose, pose_step};
 
 impl EffectsFit {
-    /// The mean of this fit, which has a rolling shutter and counts `agreement`, and of `still`,
-    /// which has none. `full` is the basis that both are parts of. How far the two lenses differ is
-    /// not in the covariance.
+    /// The mean of this fit, which has a rolling shutter and the weight `agreement`, and of
+    /// `still`, which has none. `full` is the basis that contains both. The covariance of the lens
+    /// does not include the difference between the two lenses.
     ///
-    /// `None` where the mean of the two lenses is no lens.
+    /// `None` where the mean parameters are not those of a valid lens.
     pub(super) fn averaged_with(
         &self,
         still: &Self,
@@ -41,7 +41,7 @@ impl EffectsFit {
         let pose_covariances = (0..self.pose_covariances.len())
             .map(|index| {
                 let [own, other] = [self, still].map(|fit| fit.pose_covariances[index]);
-                // Of one camera: an observation is a frame set.
+                // With one camera, an observation's index is that of its frame set.
                 let [a, b] = [self, still].map(|fit| &fit.state.fixed.rig_from_board[index]);
                 let within = own? * (p * self.inflation) + other? * (q * still.inflation);
                 let difference = step_between(a, b);
@@ -68,7 +68,7 @@ impl EffectsFit {
         })
     }
 
-    /// What was found, with another lens and other poses in a scene of the same views.
+    /// The effects that were found, with the given lens and poses, in a scene of the same views.
     pub(super) fn state_in(&self, scene: Scene<'_>, fixed: State, moves: bool) -> EffectsState {
         let still = EffectsState::flat_and_still(fixed, scene.basis, scene.observations.len());
         let shape = widened(&self.state.shape, &self.indices_in(scene.basis), scene.basis.len());
@@ -79,13 +79,13 @@ impl EffectsFit {
         }
     }
 
-    /// Where its coefficients lie in those of a wider basis.
+    /// The indices of this fit's coefficients among those of a wider basis.
     fn indices_in(&self, wider: &BoardBasis) -> Vec<usize> {
         wider.only(&self.variances.effects()).1
     }
 }
 
-/// The effects of either, in the order of `full`.
+/// The effects that are in either model, in the order of `full`.
 fn union(full: &BoardBasis, a: &Variances, b: &Variances) -> Variances {
     let heights = full.height_groups().into_iter().map(Effect::Height);
     let others = [Effect::Stretch, Effect::Own, Effect::Rotation, Effect::Translation];
@@ -96,14 +96,14 @@ fn union(full: &BoardBasis, a: &Variances, b: &Variances) -> Variances {
     Variances(heights.chain(others).filter_map(known).collect())
 }
 
-/// `values` at these of `len` coefficients; the others are 0.
+/// A vector of length `len` with `values` at `indices` and 0 elsewhere.
 fn widened(values: &[f64], indices: &[usize], len: usize) -> DVector<f64> {
     let mut of = DVector::zeros(len);
     indices.iter().zip(values).for_each(|(index, value)| of[*index] = *value);
     of
 }
 
-/// The same of rows and columns.
+/// The same for the rows and columns of a square matrix.
 fn widened_square(values: &DMatrix<f64>, indices: &[usize], len: usize) -> DMatrix<f64> {
     let mut of = DMatrix::zeros(len, len);
     for (k, row) in indices.iter().enumerate() {
@@ -114,7 +114,7 @@ fn widened_square(values: &DMatrix<f64>, indices: &[usize], len: usize) -> DMatr
     of
 }
 
-/// The lens whose parameters are `part` of the first one's and the rest of the second one's.
+/// The lens with parameters `part` · a + (1 − `part`) · b.
 fn mean_lens([a, b]: [&Lens; 2], part: f64) -> Option<Lens> {
     let parameters: Vec<f64> = a
         .parameters()
@@ -125,7 +125,7 @@ fn mean_lens([a, b]: [&Lens; 2], part: f64) -> Option<Lens> {
     Lens::from_parameters(a.model(), &parameters)
 }
 
-/// d dᵀ of the step d from one pose of a board to another.
+/// d dᵀ, where d is the step from one pose of a board to another.
 fn step_between(a_from_board: &Pose, b_from_board: &Pose) -> Matrix6<f64> {
     let rotation = (a_from_board.rotation() * b_from_board.rotation().inverse()).scaled_axis();
     let translation = a_from_board.translation() - b_from_board.translation();

@@ -1,51 +1,54 @@
-//! The board's possible shapes, as functions on its points: out of the plane polynomials of degree
-//! 2 and more, in the plane an aspect and a shear, and each point's own offset. Each function is
-//! scaled to a root mean square of 1 over the points, so that every coefficient is in meters.
+//! The shapes a board can have, as functions on its points: polynomials of degree 2 and more out of
+//! the plane, an aspect and a shear in the plane, and an offset of each single point. Each function
+//! is scaled to a root mean square of 1 over the points, so that every coefficient is in meters.
 //!
-//! What a rigid motion, or another unit of length, would do is in none of the first two kinds: the
-//! mean scale of the board is the stated one.
+//! The first two kinds exclude rigid motion and a common scale: the mean scale of the board is the
+//! stated one.
 
 use nalgebra::Point3;
 
 use crate::estimation::joint::BoardObservation;
 
-/// The highest degree of the polynomials out of the plane: of a surface that is smooth over a third
-/// of the board, the rest is below a hundredth.
+/// The highest degree of the polynomials out of the plane. Of a surface that is smooth over a third
+/// of the board, they leave less than a hundredth unexplained.
 pub(super) const MAX_DEGREE: usize = 9;
 
-/// Up to this degree where only whether there is a shape is asked.
+/// The highest degree in a test of whether the board has a shape at all.
 const ROUGH_DEGREE: usize = 5;
 
-/// Up to this many points each has an offset of its own. Two unknowns a point make the equations
+/// With up to this many points, each has its own offset. Two unknowns per point make the equations
 /// dense, and the time grows with the cube: at 15 views 140 points double the time of the solve,
-/// 300 take six times as long. Of more points the smooth shape alone is estimated.
+/// 300 take six times as long. With more points only the smooth shape is estimated.
 const MAX_OWN: usize = 150;
 
-/// A polynomial that those before it explain but for this part of its square is none on this grid.
+/// A polynomial is dropped where less than this part of its square remains after projection onto
+/// those before it: the points do not determine it.
 const LEAST_REST: f64 = 1e-4;
 
-/// Distinct points times views, beyond which points of one board are no longer expected: products of
-/// the shape with each view's pose and motion take 288 bytes each. 100 by 100 corners in 100 views,
-/// or 54 in 18,000, are as many.
+/// The largest number of distinct points times views. Beyond it, the points cannot be those of one
+/// board, and memory would not suffice: products of the shape with each view's pose and motion take
+/// 288 bytes each. 100 by 100 corners in 100 views, or 54 in 18,000, reach it.
 const MOST_PRODUCTS: usize = 1_000_000;
 
-/// Points closer than this part of the board's extent are one.
+/// Points closer than this part of the board's extent are the same point.
 const SAME_POINT: f64 = 1e-5;
 
-/// Points further off their plane than this part of the board's extent are no board.
+/// Points further from their plane than this part of the board's extent are not those of a flat
+/// board.
 const LARGEST_HEIGHT: f64 = 0.05;
 
 /// The distinct points of a flat board, and the functions on them.
 #[derive(Debug, Clone)]
 pub(crate) struct BoardBasis {
-    /// About the problem's center, in meters.
+    /// Relative to the problem's center, in meters.
     pub(crate) points: Vec<Point3<f64>>,
-    /// For each observation, which point each of its corners is.
+    /// For each observation, the index of each corner's point.
     pub(crate) point_of: Vec<Vec<usize>>,
     /// Half the extent along x and y, in meters.
     pub(crate) half_extent: [f64; 2],
-    /// Out of the plane: group, and the value at each point. The curvatures along x, along both and
-    /// along y are a group each, then those of one degree are.
+    /// Out of the plane: group, and the value at each point. The three polynomials of degree 2
+    /// (curvature along x, twist, curvature along y) are a group each; above that, all of one
+    /// degree are a group.
     pub(super) heights: Vec<(usize, Vec<f64>)>,
     /// In the plane: aspect and shear, as (x, y) at each point.
     pub(super) stretches: Vec<Vec<[f64; 2]>>,
@@ -54,14 +57,15 @@ pub(crate) struct BoardBasis {
 }
 
 impl BoardBasis {
-    /// Half the board's diagonal, in meters: what a rotation is in units of.
+    /// Half the board's diagonal, in meters: the lever arm that converts a rotation to meters.
     pub(super) fn lever(&self) -> f64 {
         self.half_extent[0].hypot(self.half_extent[1])
     }
 
-    /// `None` where the points do not lie near one plane z = const, are too few, or are more than
-    /// views of one board have.
-    /// `in_detail` in place of whether there is a shape at all.
+    /// With offsets of single points and all degrees if `in_detail`; otherwise with the few
+    /// functions that suffice to test whether there is a shape at all. `None` where the points do
+    /// not lie near one plane z = const, are too few, or are more than the views of one board can
+    /// have.
     pub(crate) fn of(observations: &[BoardObservation], in_detail: bool) -> Option<Self> {
         let all = || observations.iter().flat_map(|observation| &observation.points);
         let half_extent =
@@ -106,24 +110,25 @@ impl BoardBasis {
         })
     }
 
-    /// The groups of heights there are.
+    /// The groups of heights that the basis contains.
     pub(super) fn height_groups(&self) -> Vec<usize> {
         let mut groups: Vec<usize> = self.heights.iter().map(|(group, _)| *group).collect();
         groups.dedup();
         groups
     }
 
-    /// How many coefficients a shape has: heights, stretches, then x and y of each point's own.
+    /// Number of a shape's coefficients: heights, stretches, then x and y of each point's own
+    /// offset.
     pub(crate) fn len(&self) -> usize {
         self.smooth_len() + if self.has_own { 2 * self.points.len() } else { 0 }
     }
 
-    /// How many of them are functions of all points.
+    /// Number of coefficients of the functions that extend over all points.
     pub(super) fn smooth_len(&self) -> usize {
         self.heights.len() + self.stretches.len()
     }
 
-    /// How far each point is moved, in meters, by the coefficients of a shape.
+    /// The offset of each point, in meters, for these coefficients of a shape.
     pub(crate) fn offsets(&self, coefficients: &[f64]) -> Vec<nalgebra::Vector3<f64>> {
         let mut offsets = vec![nalgebra::Vector3::zeros(); self.points.len()];
         let (smooth, own) = coefficients.split_at(self.smooth_len());
@@ -144,7 +149,7 @@ impl BoardBasis {
         offsets
     }
 
-    /// What [`Self::offsets`] of each coefficient have in common with `offsets`: Bᵀ o.
+    /// Bᵀ o: the inner product of `offsets` with each coefficient's function.
     pub(super) fn projections(&self, offsets: &[nalgebra::Vector3<f64>]) -> Vec<f64> {
         let heights = self
             .heights
@@ -158,8 +163,8 @@ impl BoardBasis {
     }
 }
 
-/// Products of Legendre polynomials by their total degree, made orthonormal over the points against
-/// the plane and each other.
+/// Products of Legendre polynomials ordered by total degree, made orthonormal over the points to
+/// each other and to constant and linear functions.
 fn heights(points: &[[f64; 2]], max_degree: usize) -> Vec<(usize, Vec<f64>)> {
     let mut kept: Vec<(usize, Vec<f64>)> = Vec::new();
     for degree in 0..=max_degree {

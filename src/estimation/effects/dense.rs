@@ -3,10 +3,10 @@
 
 use nalgebra::{DMatrix, DVector};
 
-/// Columns of a block: a factor of a block is small beside the products that it saves.
+/// Columns of a block. Factoring one block is cheap compared with the products that blocks allow.
 const BLOCK: usize = 32;
 
-/// Columns of the inverse made at once: above its diagonal there is nothing to multiply.
+/// Columns of the inverse computed at once. Narrow strips skip the zeros above the diagonal.
 const ACROSS: usize = 64;
 
 /// A lower-triangular L with L Lᵀ = A, and the inverses of its diagonal blocks.
@@ -16,8 +16,8 @@ pub(super) struct Factor {
 }
 
 impl Factor {
-    /// Of a symmetric matrix, of which only the lower half is read. `None` unless it is positive
-    /// definite.
+    /// Of a symmetric matrix, of which only the lower triangle is read. `None` unless it is
+    /// positive definite.
     pub(super) fn of(mut a: DMatrix<f64>) -> Option<Self> {
         let size = a.nrows();
         let mut diagonal_inverses = Vec::with_capacity(size.div_ceil(BLOCK));
@@ -99,7 +99,7 @@ pub(super) fn lower_times(lower: &DMatrix<f64>, h: &DMatrix<f64>) -> DMatrix<f64
     product
 }
 
-/// Takes h hᵀ from the lower half of `a`.
+/// Subtracts h hᵀ from the lower triangle of `a`.
 pub(super) fn take_square_from_lower(a: &mut DMatrix<f64>, h: &DMatrix<f64>) {
     let (size, across) = (a.nrows(), h.transpose());
     for at in (0..size).step_by(BLOCK) {
@@ -113,7 +113,7 @@ pub(super) fn take_square_from_lower(a: &mut DMatrix<f64>, h: &DMatrix<f64>) {
     }
 }
 
-/// L of a small matrix, column by column, each less its part of those before it.
+/// L of a small matrix, column by column: the projections onto earlier columns are subtracted.
 fn cholesky(a: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let size = a.nrows();
     let mut lower = DMatrix::zeros(size, size);
@@ -150,7 +150,7 @@ fn inverse_of_lower(lower: &DMatrix<f64>) -> DMatrix<f64> {
     inverse
 }
 
-/// Takes `factor` times `other` from `column`.
+/// Subtracts `factor` times `other` from `column`.
 fn subtract(column: &mut [f64], factor: f64, other: &[f64]) {
     column.iter_mut().zip(other).for_each(|(value, other)| *value -= factor * other);
 }

@@ -1,19 +1,19 @@
-//! The kinds of effect beyond lens and poses, and which of them are asked for.
+//! The kinds of effect beyond lens and poses, and which of them to search for.
 
 use crate::estimation::effects::board_basis::BoardBasis;
 
-/// A kind of effect, with one variance.
+/// A kind of effect. All its coefficients have one prior variance.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Effect {
-    /// The board out of its plane, by this group of polynomials.
+    /// The board's height out of its plane, by this group of polynomials.
     Height(usize),
     /// The board's aspect and shear.
     Stretch,
     /// Each corner's own offset in the plane.
     Own,
-    /// The board's rotation while a view was read.
+    /// The board's rotation during the read-out of an image.
     Rotation,
-    /// Its translation.
+    /// The board's translation during the read-out of an image.
     Translation,
 }
 
@@ -22,7 +22,8 @@ impl Effect {
         matches!(self, Self::Rotation | Self::Translation)
     }
 
-    /// Where its coefficients lie in a shape; of a motion, in the six numbers of a view.
+    /// The indices of its coefficients: among those of a shape, or among the six numbers of a
+    /// view's motion.
     pub(super) fn range(self, basis: &BoardBasis) -> std::ops::Range<usize> {
         let (heights, smooth) = (basis.heights.len(), basis.smooth_len());
         match self {
@@ -39,8 +40,8 @@ impl Effect {
 }
 
 impl BoardBasis {
-    /// With only those functions that are of one of `effects`, and which of the coefficients those
-    /// are.
+    /// The basis with only the functions that belong to `effects`, and the indices of their
+    /// coefficients in this basis.
     pub(super) fn only(&self, effects: &[Effect]) -> (Self, Vec<usize>) {
         let wanted = |effect: Effect| effects.contains(&effect);
         let kept: Vec<usize> = effects
@@ -59,7 +60,7 @@ impl BoardBasis {
     }
 }
 
-/// Which effects are tested, and which are in the model whatever the evidence.
+/// Which effects are tested, and which are in the model regardless of the evidence.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Wanted {
     pub(crate) shape: bool,

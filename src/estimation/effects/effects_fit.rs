@@ -1,4 +1,4 @@
-//! What was found beyond lens and poses.
+//! The estimated effects beyond lens and poses.
 
 use nalgebra::{DMatrix, Matrix6};
 
@@ -6,32 +6,32 @@ use crate::estimation::effects::board_basis::BoardBasis;
 use crate::estimation::effects::evidence::Variances;
 use crate::estimation::effects::state::EffectsState;
 
-/// What was found beyond lens and poses.
+/// The estimated effects beyond lens and poses, with their covariances.
 #[derive(Debug, Clone)]
 pub(crate) struct EffectsFit {
     pub(crate) basis: BoardBasis,
     pub(crate) state: EffectsState,
-    /// What is in the model, with noise variance / its variance.
+    /// The effects in the model, each with λ = noise variance / its variance.
     pub(crate) variances: Variances,
-    /// The noise's variance in units of the corners' own.
+    /// The variance of the noise, as a factor on the corners' own variances.
     pub(crate) noise_square: f64,
     /// Covariance of the lens's free parameters, everything else marginalized.
     pub(crate) lens_covariance: DMatrix<f64>,
-    /// How many times larger variances are than if each corner erred by itself.
+    /// Variance inflation: how many times larger variances are than with independent corner errors.
     pub(crate) inflation: f64,
-    /// What part of `lens_covariance` is how views differ, from 0 to below 1.
+    /// The part of `lens_covariance` that comes from the scatter between views, from 0 to below 1.
     pub(crate) weight_of_views: f64,
     /// Per observation: covariance of its pose step (rotation, translation).
     pub(crate) pose_covariances: Vec<Option<Matrix6<f64>>>,
     /// Covariance of the shape's coefficients (zero for those not in the model).
     pub(crate) shape_covariance: DMatrix<f64>,
-    /// 1 where views agree that the motion in the model is a rolling shutter's; else the part of it
-    /// that is beyond chance, as which it counts.
+    /// 1 where the views agree that the motion in the model is a rolling shutter's. Otherwise the
+    /// part of the motion that is beyond chance, which is its weight in the average.
     pub(crate) shutter_agreement: f64,
 }
 
 impl EffectsFit {
-    /// The same for some of its views.
+    /// The same fit, restricted to some of its views.
     pub(crate) fn of_views(&self, views: &[usize]) -> Self {
         let motions = views.iter().map(|view| self.state.motions[*view]).collect();
         Self { state: EffectsState { motions, ..self.state.clone() }, ..self.clone() }

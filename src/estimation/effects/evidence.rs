@@ -1,10 +1,10 @@
 //! The posterior of lens, shape and motion for given variances, and the variances themselves by
-//! their evidence: restricted maximum likelihood, by D. MacKay's updates (*Bayesian interpolation*,
-//! 1992, equations 4.9 and 4.10: a variance is what its effects show, over how many of them the
-//! data determine).
+//! maximum evidence: restricted maximum likelihood, by D. MacKay's updates (*Bayesian
+//! interpolation*, 1992, equations 4.9 and 4.10: a variance is the sum of the squares of its
+//! coefficients over the number of them that the data determine).
 //!
-//! Variances are kept as ratios λ = noise variance / variance of the effect, so that the noise's
-//! own follows in closed form.
+//! Variances are stored as ratios λ = noise variance / variance of the effect, so that the variance
+//! of the noise follows in closed form.
 
 use nalgebra::{DMatrix, DVector, Matrix6, Vector6};
 
@@ -29,15 +29,16 @@ pub(crate) struct EffectVariance {
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Variances(pub(crate) Vec<EffectVariance>);
 
-/// What λ is multiplied by of an effect that is held at nothing: its deviation is then a
-/// ten-thousandth of itself. Not swept.
+/// Factor on λ of an effect that is held at zero: its standard deviation becomes a ten-thousandth
+/// of what it was. Not swept.
 const HELD: f64 = 1e8;
 
-/// A component whose λ exceeds its information by this factor does nothing.
+/// λ over the largest information of any view's motion, for a motion that is not in the model: the
+/// prior then holds it at zero.
 const NOTHING: f64 = 1e9;
 
 impl Variances {
-    /// Where to start: each kind by itself could make residuals twice as large as they are.
+    /// Initial variances: each effect alone could double the residuals.
     pub(super) fn start(
         effects: &[Effect],
         system: &System,
@@ -70,12 +71,12 @@ impl Variances {
         self.0.iter().any(|one| one.effect.is_motion())
     }
 
-    /// Whether the board's shape is.
+    /// Whether the board's shape is in the model.
     pub(super) fn shapes(&self) -> bool {
         self.0.iter().any(|one| !one.effect.is_motion())
     }
 
-    /// λ of the six numbers of a motion.
+    /// λ of each of the six numbers of a motion.
     pub(super) fn of_motion(&self, system: &System) -> Vector6<f64> {
         let largest = system.views.iter().map(|v| v.motion.diagonal().max()).fold(1e-300, f64::max);
         let of = |effect: Effect| self.of(effect).unwrap_or(NOTHING * largest);
@@ -87,7 +88,7 @@ impl Variances {
         self.0.iter().find(|one| one.effect == effect).map(|one| one.lambda)
     }
 
-    /// The same with some effects held at nothing.
+    /// The same with some effects held at zero.
     pub(super) fn held(&self, effects: &[Effect]) -> Self {
         let held = |one: &EffectVariance| match effects.contains(&one.effect) {
             true => EffectVariance { lambda: one.lambda * HELD, ..*one },
@@ -100,8 +101,9 @@ impl Variances {
         Self(self.0.iter().filter(|one| one.effect != effect).copied().collect())
     }
 
-    /// The same with a stretch of the board as large as what else is uneven of it at least: views
-    /// that leave it open show none, and would have it for certain that there is none.
+    /// The same with a variance of the stretch no smaller than that of the rest of the unevenness.
+    /// Where the views do not determine the stretch, its estimate is near zero; without this bound
+    /// the update would shrink its variance until the stretch counted as known to be zero.
     pub(super) fn with_stretch_as_others(mut self, basis: &BoardBasis) -> Self {
         // Mean squares over the points, in units of the noise: functions over all points have a
         // mean square of 1, and a point's own offset is of one point.
@@ -120,7 +122,7 @@ impl Variances {
         self
     }
 
-    /// The penalty of a state: what its effects cost under these variances.
+    /// The penalty of a state: the sum of squares that the prior adds to the cost.
     pub(super) fn penalty(&self, state: &EffectsState, basis: &BoardBasis, good: &[usize]) -> f64 {
         let squares = |EffectVariance { effect, lambda }: &EffectVariance| {
             let range = effect.range(basis);
@@ -138,8 +140,7 @@ impl Variances {
     }
 }
 
-/// What each effect's variance adds to the information of each global. Effects are those of
-/// `basis`.
+/// What the prior adds to the information of each global parameter. Effects refer to `basis`.
 fn prior_information(variances: &Variances, lens: usize, basis: &BoardBasis) -> Vec<f64> {
     let mut of = vec![0.0; lens + basis.len()];
     for EffectVariance { effect, lambda } in &variances.0 {
@@ -150,33 +151,34 @@ fn prior_information(variances: &Variances, lens: usize, basis: &BoardBasis) -> 
     of
 }
 
-/// The motion of one view, eliminated: its factor L, and L⁻¹ of its gradient.
+/// The eliminated motion of one view: Cholesky factor L of its block, and L⁻¹ times its gradient.
 struct Eliminated {
     factor: Matrix6<f64>,
     half_gradient: Vector6<f64>,
 }
 
-/// The reduced problem at one choice of variances.
+/// The equations of the global parameters for one choice of variances, poses and motions
+/// eliminated.
 pub(super) struct Reduced<'a> {
     system: &'a System,
     basis: &'a BoardBasis,
     variances: &'a Variances,
     lens: usize,
-    /// Of each global: what its variance adds to its information.
+    /// For each global parameter, what its prior adds to its information.
     lambda: Vec<f64>,
     scale: DVector<f64>,
     factor: Factor,
     gradient: DVector<f64>,
-    /// 6 columns a view: the coupling of the globals with its motion, times L⁻ᵀ.
+    /// Six columns per view: the coupling of the globals with the view's motion, times L⁻ᵀ.
     halves: DMatrix<f64>,
     eliminated: Vec<Eliminated>,
-    /// ln |motion's block + Λ| − ln |Λ|, summed.
+    /// Sum over the views of ln |motion's block + Λ| − ln |Λ|.
     motion_determinants: f64,
 }
 
 /// The noise of the residuals.
 struct ResidualNoise {
-    /// Its variance, in units of the corners' own.
+    /// Its variance, as a factor on the corners' own variances.
     square: f64,
     /// Its degrees of freedom.
     freedom: f64,
@@ -269,9 +271,9 @@ impl<'a> Reduced<'a> {
         }
     }
 
-    /// The noise at the mode, without the posterior.
+    /// The noise at the mode, without computing the posterior.
     fn noise(&self, state: &EffectsState) -> ResidualNoise {
-        // Through the factor alone: gᵀ S⁻¹ g = |L⁻¹ g|².
+        // The decrease of a full step needs the factor only: gᵀ S⁻¹ g = |L⁻¹ g|².
         let scaled = self.gradient.component_mul(&self.scale);
         let decrease = self.factor.half_square(&scaled);
         let cost = self.system.cost
@@ -284,12 +286,12 @@ impl<'a> Reduced<'a> {
         ResidualNoise { square: (cost / freedom).max(f64::MIN_POSITIVE), freedom }
     }
 
-    /// The noise's variance at the mode.
+    /// The variance of the noise at the mode.
     pub(super) fn noise_square(&self, state: &EffectsState) -> f64 {
         self.noise(state).square
     }
 
-    /// The logarithm of the evidence, without the posterior.
+    /// The logarithm of the evidence, without computing the posterior.
     pub(super) fn log_evidence(&self, state: &EffectsState) -> f64 {
         let ResidualNoise { square, freedom } = self.noise(state);
         let log_determinants = self.factor.log_determinant()
@@ -304,14 +306,14 @@ impl<'a> Reduced<'a> {
     }
 }
 
-/// What data and variances say.
+/// The posterior, as steps from the present state and their covariances.
 pub(super) struct Posterior {
-    /// A lower-triangular R with Rᵀ R = the covariance of the globals for noise of unit variance.
+    /// A lower-triangular R with Rᵀ R = covariance of the globals, for noise of unit variance.
     pub(super) root: DMatrix<f64>,
-    /// The step of all globals.
+    /// The step of all global parameters.
     pub(super) global: DVector<f64>,
     /// Per view, in the system's order: the step of its motion, and its covariance for noise of
-    /// unit variance; empty where nothing moves.
+    /// unit variance; empty without motion.
     pub(super) motions: Vec<Vector6<f64>>,
     pub(super) motion_covariances: Vec<Matrix6<f64>>,
     pub(super) halves: DMatrix<f64>,
@@ -326,20 +328,20 @@ pub(super) struct UpdatedVariances {
     pub(super) determined: Vec<f64>,
 }
 
-/// λ is at least this part of an effect's information: of exact corners too, what no corner shows
-/// (a board that moves as a whole) must stay determined by its prior.
+/// A lower bound on λ as a part of an effect's mean information. Even with noiseless corners, the
+/// prior must determine what no corner determines, such as a motion of the whole board.
 const LEAST_LAMBDA: f64 = 1e-10;
 
-/// λ stays within this factor of itself in one update.
+/// The largest factor by which one update changes λ.
 const LARGEST_CHANGE: f64 = 1e4;
 
 impl Posterior {
-    /// Of all globals, for noise of unit variance.
+    /// The covariance of all globals, for noise of unit variance.
     pub(super) fn covariance(&self) -> DMatrix<f64> {
         square_of_lower(&self.root)
     }
 
-    /// L⁻ᵀ of the `k`-th view's motion; `None` where nothing moves.
+    /// L⁻ᵀ of the `k`-th view's motion; `None` without motion.
     pub(super) fn motion_up(&self, k: usize) -> Option<Matrix6<f64>> {
         self.ups.get(k).copied()
     }
@@ -387,9 +389,9 @@ impl Posterior {
         UpdatedVariances { variances, determined }
     }
 
-    /// How far each effect raises the logarithm of the evidence, the other variances as they are:
-    /// by the density of none of it before and after the data (J. Dickey, 1971). Motions of
-    /// different views count as independent.
+    /// By how much each effect raises the logarithm of the evidence, the other variances being
+    /// fixed: the Savage–Dickey ratio, prior over posterior density at zero effect (J. Dickey,
+    /// 1971). The motions of different views are treated as independent.
     pub(super) fn gains(
         &self,
         system: &System,

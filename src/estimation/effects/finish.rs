@@ -1,4 +1,4 @@
-//! What a walk that has settled says: covariances of lens, poses and shape.
+//! The result of a search that has converged: covariances of lens, poses and shape.
 
 use std::rc::Rc;
 
@@ -25,7 +25,8 @@ impl EffectSearch {
         let all = posterior.covariance();
         let size = basis.len();
         let shape_covariance = all.view((lens, lens), (size, size)) * noise_square;
-        // Parameters differ by orders of magnitude: in units of their own deviations.
+        // Parameters differ by orders of magnitude, so the lens is handled in units of its standard
+        // deviations.
         let scale = all.diagonal().map(|v| v.max(f64::MIN_POSITIVE).sqrt());
         let mut with_lens = all.columns(0, lens).into_owned();
         for (mut column, scale) in with_lens.column_iter_mut().zip(&scale) {
@@ -85,7 +86,7 @@ impl EffectsFit {
         &self.state.fixed.lenses[0]
     }
 
-    /// The observations with their points where shape and motion put them.
+    /// The observations, with their points displaced by shape and motion.
     pub(crate) fn moved_observations(
         &self,
         layout: &Layout,

@@ -1,4 +1,5 @@
-//! Which effects one camera's views show, with corners chosen anew beside them.
+//! Which effects the views of one camera show. Corners and views are selected again under the model
+//! with effects.
 
 use nalgebra::DVector;
 
@@ -15,11 +16,11 @@ use crate::estimation::robust_fit::{LIMIT, ROUNDING, scale_of, select};
 use crate::estimation::view_fault::ViewFault;
 use crate::geometry::lens::Lens;
 
-/// The corners as they were chosen at the end.
+/// The corners after the last selection.
 pub(crate) struct Corners {
     pub(crate) observations: Vec<BoardObservation>,
     pub(crate) faults: Vec<Option<ViewFault>>,
-    /// The distance, in units of each corner's own deviation, up to which corners were believed.
+    /// The largest residual of an inlier, in units of each corner's own standard deviation.
     pub(crate) limit: f64,
 }
 
@@ -30,9 +31,9 @@ impl Corners {
     }
 }
 
-/// What the views say beyond lens and poses.
+/// What the views determine beyond lens and poses.
 pub(crate) struct Effects {
-    /// `None` where they show nothing.
+    /// `None` where they show no effect.
     pub(crate) found: Option<(EffectsFit, Corners)>,
     /// As [`CameraFit::shutter_doubt`].
     pub(crate) shutter_doubt: Option<DVector<f64>>,
@@ -41,15 +42,15 @@ pub(crate) struct Effects {
 /// Fewer views than this determine nothing beyond lens and poses.
 const MIN_VIEWS: usize = 3;
 
-/// Up to this part of the views, one in so many, are exceptions. Chosen, not swept.
+/// At most one view in this many may be rejected as an exception. Chosen, not swept.
 const FEW_PART: usize = 4;
 
-/// Rounds of choosing corners anew.
+/// Rounds of selecting corners.
 const MAX_ROUNDS: usize = 4;
 
-/// Estimates effects, starting from a plain fit of one camera, or with the effects that were
-/// `found` with other lenses or poses. `None` where nothing hints at any, or the views do not
-/// determine them.
+/// Estimates effects, starting from a plain fit of one camera, or from the effects that were
+/// `found` with another lens or other poses. `None` where the residuals hint at none, or the views
+/// do not determine them.
 pub(crate) fn fit_effects(
     plain: &CameraFit,
     found: Option<&EffectsFit>,
@@ -72,7 +73,7 @@ pub(crate) fn fit_effects(
         by_columns: None,
         moves: true,
     };
-    // Some of the views may be all that saw a part of the board.
+    // Views that alone saw a part of the board may be absent here: the bases then differ.
     let found = found.filter(|found| found.basis.points == basis.points);
     let start = WalkStart { state: &plain.robust.minimum.state, found };
     let weighed = start.weighed(Scene { good: &good, ..whole }, wanted, width)?;
@@ -87,7 +88,8 @@ pub(crate) fn fit_effects(
     if walk.variances.0.is_empty() {
         return Some(Effects { found: None, shutter_doubt });
     }
-    // Where the shutter counts in part, views that it explains would spoil what is without it.
+    // Where the shutter has only a part of the weight, readmitted views that motion explains would
+    // be outliers of the model without it.
     let CornersChosen { walk, corners, good } =
         CornersChosen::beside(walk, chosen, whole, wanted, without.is_none())?;
     let scene = Scene { observations: &corners.observations, good: &good, ..whole };
@@ -102,8 +104,8 @@ pub(crate) fn fit_effects(
     Some(Effects { found: Some((found, corners)), shutter_doubt })
 }
 
-/// The same effects as were `found` with another lens, with the lens of a plain fit to the same
-/// corners: none is added or dropped, and a rolling shutter counts as much as it did there.
+/// The same effects that were `found` with another lens, estimated with the lens of a plain fit to
+/// the same corners. No effect is added or dropped, and a rolling shutter keeps its weight.
 pub(crate) fn fit_same_effects(
     plain: &CameraFit,
     found: &EffectsFit,
@@ -129,18 +131,18 @@ pub(crate) fn fit_same_effects(
     with.averaged_with(&still, &basis, found.shutter_agreement)
 }
 
-/// By how much the parameters of a lens exceed those of another.
+/// The difference between the parameters of two lenses, `lens` minus `other`.
 fn lens_difference(lens: &Lens, other: &Lens) -> DVector<f64> {
     let [lens, other] = [lens, other].map(Lens::parameters);
     DVector::from_vec(lens) - DVector::from_vec(other)
 }
 
-/// Where a walk begins.
+/// Where a search begins.
 #[derive(Clone, Copy)]
 struct WalkStart<'a> {
     /// The plain fit's.
     state: &'a State,
-    /// Effects that were found with other lenses or poses.
+    /// Effects that were found with another lens or other poses.
     found: Option<&'a EffectsFit>,
 }
 
@@ -154,13 +156,14 @@ impl WalkStart<'_> {
         walk?.settled(scene, wanted)
     }
 
-    /// A walk that settled, with no effects where none are missed.
+    /// A converged search; one without effects where none is significant.
     fn settled_or_bare(&self, scene: Scene<'_>, wanted: Wanted) -> Option<EffectSearch> {
         let bare = || EffectSearch::bare(scene, self.state.clone());
         self.settled(scene, wanted).or_else(bare)
     }
 
-    /// A walk that settled, its motion weighed against none unless it is wanted for certain.
+    /// A converged search. Its motion is compared with none, unless motion is in the model for
+    /// certain.
     fn weighed(&self, scene: Scene<'_>, wanted: Wanted, width: f64) -> Option<Weighed> {
         let walk = self.settled(scene, wanted)?;
         if !walk.moves() || wanted.motion_for_certain {
@@ -170,8 +173,8 @@ impl WalkStart<'_> {
         Weighed::of(walk, still, scene, width)
     }
 
-    /// `weighed`, but for views that are exceptions: motion explains some of an image of another
-    /// board or camera too. Their faults are noted in `chosen`.
+    /// `weighed`, without views that are exceptions: motion also explains part of the residuals of
+    /// another board or camera. Their faults are recorded in `chosen`.
     fn without_exceptions(
         &self,
         weighed: Weighed,
@@ -203,8 +206,9 @@ impl WalkStart<'_> {
         Some(still.system.residuals)
     }
 
-    /// A walk without the views that are outliers in the fit without motion, which has these
-    /// `residuals`, if the others show no motion.
+    /// A search without the views that are outliers of the fit without motion, whose `residuals`
+    /// are given. `None` unless there are some but few of these, and the other views show effects
+    /// but no motion.
     fn without_few(
         &self,
         residuals: &[Vec<[f64; 2]>],
@@ -220,7 +224,8 @@ impl WalkStart<'_> {
         if few == 0 || few > scene.good.len() / FEW_PART || good.len() < MIN_VIEWS {
             return None;
         }
-        // Where the others show no effect at all there is no fit beside effects to go on from.
+        // Where the other views show no effect at all, there is no fit with effects to continue
+        // from.
         let rest = self.weighed(Scene { good: &good, ..scene }, wanted, width)?;
         if rest.walk.moves() || rest.walk.variances.0.is_empty() {
             return None;
@@ -232,8 +237,9 @@ impl WalkStart<'_> {
         Some(rest)
     }
 
-    /// `weighed`, but for views that moved as the others rule out, one after the other: each time
-    /// the one with the largest `residuals` in the fit without motion is tested.
+    /// `weighed`, without views whose motion is incompatible with that of the others. They are
+    /// tested one at a time: each time the one with the largest `residuals` in the fit without
+    /// motion.
     fn without_odd(
         &self,
         mut weighed: Weighed,
@@ -242,7 +248,8 @@ impl WalkStart<'_> {
         (scene, wanted, width): (Scene<'_>, Wanted, f64),
     ) -> Option<Weighed> {
         let mut good = scene.good.to_vec();
-        // What was found with a view that moved oddly holds on to what that view did to it.
+        // Effects that were found with a view of odd motion are biased by it, so each search starts
+        // anew.
         let fresh = WalkStart { found: None, ..*self };
         for _ in 0..scene.good.len() / FEW_PART {
             let scene = Scene { good: &good, ..scene };
@@ -260,7 +267,8 @@ impl WalkStart<'_> {
             let rest = fresh.settled_or_bare(without, wanted);
             let odd = rest.and_then(|rest| rest.odd_motion(scene, view));
             let Some(times) = odd else { break };
-            // Where the others show no effect at all there is no fit beside effects to go on from.
+            // Where the other views show no effect at all, there is no fit with effects to continue
+            // from.
             let Some(next) = fresh.weighed(without, wanted, width) else { break };
             let at_rest = fresh.still_residuals(&next, (without, wanted));
             if next.walk.variances.0.is_empty() {
@@ -277,7 +285,7 @@ impl WalkStart<'_> {
     }
 }
 
-/// A walk, and the corners and views that are believed beside it.
+/// A search, and the inlier corners and views under its effects.
 struct CornersChosen {
     walk: EffectSearch,
     corners: Corners,
@@ -285,10 +293,10 @@ struct CornersChosen {
 }
 
 impl CornersChosen {
-    /// Chooses corners by what `walk` leaves of them, and goes on from there, one after the other
-    /// until the choice stays. `None` where too few views are good. With `readmits`, views that had
-    /// been rejected before come back in the first round where the effects explain them. `whole` is
-    /// the scene of the plain fit, without views.
+    /// Alternates between selecting corners by the residuals of `walk` and continuing the search,
+    /// until the selection no longer changes. `None` where too few views are good. With `readmits`,
+    /// views that had been rejected before return in the first round if the effects explain them.
+    /// `whole` is the scene of the plain fit, without views.
     fn beside(
         mut walk: EffectSearch,
         mut corners: Corners,
@@ -318,22 +326,22 @@ impl CornersChosen {
     }
 }
 
-/// What the views say without a rolling shutter, where they do not agree on one.
+/// The result without a rolling shutter, for views that do not agree on one.
 struct WithoutMotion {
     still: EffectSearch,
     by_rows: ReadByRows,
 }
 
-/// A walk whose motion was weighed.
+/// A search whose motion was compared with none.
 struct Weighed {
     walk: EffectSearch,
-    /// What it is to be averaged with.
+    /// The result to average it with.
     without: Option<WithoutMotion>,
     shutter_doubt: Option<DVector<f64>>,
 }
 
 impl Weighed {
-    /// `walk`, or the `still` one where nothing of its motion is beyond chance.
+    /// `walk`, or the `still` one where none of its motion is beyond chance.
     fn of(
         walk: EffectSearch,
         still: impl FnOnce() -> Option<EffectSearch>,

@@ -1,6 +1,6 @@
-//! Which effects are plausible: score tests (C. R. Rao, 1948) of a smooth board shape, of
-//! each corner's own offset and of motion, at the plain minimum. They cost a part of one step,
-//! which is all that a flat board before a global shutter has to pay.
+//! Which effects are plausible: score tests (C. R. Rao, 1948) of a smooth board shape, of each
+//! corner's own offset and of motion, at the plain minimum. They take less time than one step, and
+//! for a flat board and a global shutter nothing else is computed.
 
 use nalgebra::DMatrix;
 
@@ -10,7 +10,7 @@ use crate::estimation::effects::effect::Wanted;
 use crate::estimation::effects::state::{EffectsState, Scene};
 use crate::estimation::effects::system::{System, ViewPart};
 
-/// A sum of squares beyond its expectation by this many standard deviations is a hint.
+/// A sum of squares that exceeds its expectation by this many standard deviations is a hint.
 const HINT: f64 = 2.0;
 
 /// The effects of `wanted` that the residuals hint at; `None` for none.
@@ -54,7 +54,7 @@ fn smooth_shape(system: &System, lens: usize) -> Option<f64> {
     Some(decrease(size)? - decrease(lens)?)
 }
 
-/// Σ |L⁻¹ e|² of every view's motion, its pose eliminated.
+/// Σ |L⁻¹ g|² over the motion of every view, its pose eliminated.
 fn motion(system: &System) -> f64 {
     let of_view = |view: &ViewPart| {
         let factor = view.motion.cholesky()?;
@@ -63,7 +63,7 @@ fn motion(system: &System) -> f64 {
     system.views.iter().filter_map(of_view).sum()
 }
 
-/// Whether what the same offset in every view would explain, point by point, is more than chance.
+/// Whether offsets of single points, each the same in all views, would explain more than chance.
 pub(super) fn own_offsets_stand_out(system: &System, noise_square: f64) -> bool {
     let seen = || system.own_scores.iter().filter(|score| score[2] > 0.0 && score[3] > 0.0);
     let square: f64 = seen().map(|[x, y, xx, yy]| x * x / xx + y * y / yy).sum();

@@ -1,5 +1,5 @@
-//! What each view does to the lens where the board's shape and motion are estimated too, and by how
-//! much the lens would move without the view.
+//! The influence of each view on the lens where the board's shape and motion are estimated too, and
+//! by how much the lens would change without the view.
 
 use std::ops::Range;
 
@@ -13,31 +13,31 @@ use crate::estimation::joint::linearize::{
 };
 use crate::estimation::robust::Loss;
 
-/// Views whose influence is computed, at most.
+/// The largest number of views whose influence is computed.
 const MAX_INFLUENCES: usize = 60;
 
-/// Steps of conjugate gradients: the equations without a view differ from those with it in a few
-/// directions only.
+/// Steps of conjugate gradients. A few suffice: the equations without a view differ from those with
+/// it in a few directions only.
 const MAX_STEPS: usize = 30;
 
-/// The part of the residual's square at which they end.
+/// The part of the residual's initial square at which conjugate gradients end.
 const SOLVED: f64 = 1e-6;
 
 /// One view's Jacobian at a state, its pose and motion to be eliminated.
 pub(super) struct ViewJacobian<'a> {
     columns: ViewColumns<'a>,
     values: Vec<f64>,
-    /// The derivatives by a movement of each corner along the board's x and y.
+    /// Derivatives by a displacement of each corner along the board's x and y.
     in_plane: [Vec<f64>; 2],
-    /// Of the pose, with the motion where there is one.
+    /// Factor of the block of the pose, and of the motion where there is one.
     local_square: Cholesky<f64, Dyn>,
-    /// The gradient by these.
+    /// The gradient by the same parameters.
     local_gradient: DVector<f64>,
     first_local: usize,
 }
 
-/// The Jacobians of the views in use, or of enough of them, evenly; `of_motion` is the λ of
-/// a motion where there is one.
+/// The Jacobians of the views in use, or of an evenly spaced sample where there are many;
+/// `of_motion` is λ of a motion where there is one.
 pub(super) fn view_jacobians<'a>(
     scene: Scene<'a>,
     state: &EffectsState,
@@ -99,7 +99,7 @@ impl<'a> ViewJacobian<'a> {
         )
     }
 
-    /// By the globals that are functions of all corners.
+    /// The derivatives by the global parameters that affect all corners.
     fn dense(&self) -> DMatrixView<'_, f64> {
         self.some(0..self.columns.motion())
     }
@@ -108,10 +108,10 @@ impl<'a> ViewJacobian<'a> {
         self.some(self.first_local..self.columns.residual())
     }
 
-    /// What the view does to the lens, given the covariance of all globals with those of the lens
-    /// (globals × lens), and the inverse of the lens's own.
+    /// The view's influence on the lens. `with_lens` is the covariance of all globals with those of
+    /// the lens (globals × lens), `inverse` the inverse of the lens's own block.
     pub(super) fn influence(&self, with_lens: &DMatrix<f64>, inverse: &DMatrix<f64>) -> Influence {
-        // Each residual's part in the step of the lens.
+        // The contribution of each residual to the step of the lens.
         let (rows, dense) = (self.columns.rows, self.columns.motion());
         let mut parts = self.dense() * with_lens.rows(0, dense);
         for (corner, point) in self.columns.own().iter().enumerate() {
@@ -134,9 +134,9 @@ impl<'a> ViewJacobian<'a> {
         )
     }
 
-    /// By how much all globals would move without the view, to first order, where `covariance` is
-    /// theirs: x of (C⁻¹ − A) x = s by conjugate gradients, preconditioned by C (M. Hestenes, E.
-    /// Stiefel, 1952). C⁻¹ itself is never needed.
+    /// By how much all globals would move without the view, to first order, where `covariance` (C)
+    /// is theirs: x of (C⁻¹ − A) x = s by conjugate gradients, preconditioned by C (M. Hestenes, E.
+    /// Stiefel, 1952). C⁻¹ itself is never computed.
     pub(super) fn without(&self, covariance: &DMatrix<f64>) -> DVector<f64> {
         let all = self.all();
         let residual = all.column(self.columns.residual()).into_owned();
@@ -169,7 +169,7 @@ impl<'a> ViewJacobian<'a> {
         moved
     }
 
-    /// A x: the view's information, its pose and motion eliminated.
+    /// A x, where A is the view's information with its pose and motion eliminated.
     fn information(&self, x: &DVector<f64>) -> DVector<f64> {
         let dense = self.columns.motion();
         let mut image = self.dense() * x.rows(0, dense);

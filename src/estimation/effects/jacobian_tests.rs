@@ -16,9 +16,10 @@ use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pixel::Pixel;
 use crate::geometry::pose::Pose;
 
-/// Central differences lose the square of this in curvature and 1e-16 over it in rounding.
+/// Central differences have an error of order step² from curvature, and of 1e-16 / step from
+/// rounding.
 const STEP: f64 = 1e-5;
-/// Entries agree to this share of the largest of their column.
+/// Entries agree to this part of the largest of their column.
 const TOLERANCE: f64 = 1e-6;
 const ROWS: f64 = 480.0;
 
@@ -77,7 +78,7 @@ impl World {
         }
     }
 
-    /// All corners' x, then all corners' y, where the parameter of a column is moved by `step`.
+    /// All corners' x, then all corners' y, with the parameter of a column changed by `step`.
     fn residuals(&self, column: Column, step: f64) -> Vec<f64> {
         let mut state = self.state.clone();
         let (mut lens, mut pose) = (vec![0.0; self.layout.len], [0.0; 6]);

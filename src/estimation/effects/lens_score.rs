@@ -1,4 +1,5 @@
-//! What another lens would explain beside the board's shape and motion, by one step.
+//! How well another lens would fit when board shape and motion are in the model too, estimated by
+//! one step.
 
 use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::effects::evidence::Reduced;
@@ -7,11 +8,11 @@ use crate::estimation::effects::system::System;
 use crate::estimation::joint::{BoardObservation, Layout};
 use crate::geometry::lens::Lens;
 
-/// The costs of a fit with effects and of the same with another lens that is near its own, after a
-/// step of everything with the variances as they are; the same twice where the views leave the
-/// other lens open. `stated` are the observations with the board as it was stated, `rows` the
-/// height of the images. `None` where the fit has no effects, or the other lens does not see all
-/// corners.
+/// The costs of a fit with effects, and of the same fit with another `lens` close to its own after
+/// one step of all parameters at fixed variances. The same cost twice where the views do not
+/// determine the other lens. `stated` are the observations with the board as it was stated, `rows`
+/// is the height of the images. `None` where the fit has no effects, or the other lens cannot
+/// project all corners.
 pub(crate) fn costs_beside_effects(
     fit: &CameraFit,
     stated: &[BoardObservation],

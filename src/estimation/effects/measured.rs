@@ -1,5 +1,5 @@
-//! What a solve found out of the board and of the shutter, in meters, for people and for the next
-//! solve.
+//! The board's shape and the rolling shutter as a solve found them, in meters, for people and for
+//! the next solve.
 
 use nalgebra::{DMatrix, DVector, Point3, Vector3};
 
@@ -23,8 +23,8 @@ impl MeasuredBoard {
         let count = offsets.len() as f64;
         let mean_square = offsets.iter().map(Vector3::norm_squared).sum::<f64>() / count;
         let unevenness_m = mean_square.sqrt();
-        // Neighboring points err together: by the covariance of the coefficients, d rms = oᵀ B dc /
-        // (n rms). The offsets have no rigid part already.
+        // Errors of neighboring points are correlated, hence the covariance of the coefficients: d
+        // rms = oᵀ B dc / (n rms). The offsets contain no rigid motion any more.
         let pull = DVector::from_vec(basis.projections(&offsets));
         let variance = pull.dot(&(&effects.shape_covariance * &pull)).max(0.0);
         let bow_m = bow_m(&basis.points, &offsets);
@@ -59,8 +59,9 @@ impl RollingShutter {
 }
 
 impl ViewMotion {
-    /// Of an observation at a frame set, with the board at `camera_from_board`; both are about
-    /// `center`, that of the problem's points. `None` without motion.
+    /// The motion of the board in one observation at one frame set, with the board at
+    /// `camera_from_board`. Pose and motion are relative to `center`, the center of the problem's
+    /// points. `None` without motion.
     pub(crate) fn of(
         effects: &EffectsFit,
         place: (usize, usize),
@@ -94,7 +95,7 @@ fn rigid_and_scale(points: &[Point3<f64>]) -> DMatrix<f64> {
     columns
 }
 
-/// Per point and axis; in the plane without what a rigid motion and a scale do.
+/// Per point and axis. In the plane, rigid motion and scale are projected out.
 fn standard_deviations(effects: &EffectsFit, rigid: &DMatrix<f64>) -> Vec<Vector3<f64>> {
     let (basis, covariance) = (&effects.basis, &effects.shape_covariance);
     let (heights, count) = (basis.heights.len(), basis.points.len());
@@ -111,8 +112,8 @@ fn standard_deviations(effects: &EffectsFit, rigid: &DMatrix<f64>) -> Vec<Vector
         .collect()
 }
 
-/// Of x and y of each point. The dense covariance of all of them is only made where each has an
-/// offset of its own, which is where they are few.
+/// Variances of x and y of each point. The dense covariance of all points is computed only where
+/// each has its own offset, and then they are few.
 fn planar_variances(effects: &EffectsFit, rigid: &DMatrix<f64>) -> Vec<f64> {
     let (basis, covariance) = (&effects.basis, &effects.shape_covariance);
     let (heights, smooth) = (basis.heights.len(), basis.smooth_len());

@@ -1,6 +1,6 @@
-//! What the plain problem leaves out: the board as it was printed and mounted, and its motion while
-//! the rows of an image were read one after another. Both are random effects of the joint problem:
-//! Gaussian, with variances that the data decide (`evidence`), and exactly none where the data
+//! What the plain problem leaves out: the board's true shape as printed and mounted, and its motion
+//! during the read-out of a rolling shutter. Both are random effects of the joint problem:
+//! Gaussian, with variances estimated from the data (`evidence`), and exactly zero where the data
 //! show none.
 //!
 //! | question | where |

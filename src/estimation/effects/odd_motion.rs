@@ -1,5 +1,6 @@
-//! A view that moved as no other did while it was read: the motion that views are granted explains
-//! some of an image that is mirrored, or of another camera, as well.
+//! Views whose motion during the read-out is incompatible with that of the others. Such a view must
+//! be tested for, because the motion that the model allows also explains a part of the residuals of
+//! a mirrored image, or of another camera's.
 
 use std::rc::Rc;
 
@@ -9,23 +10,24 @@ use crate::estimation::effects::search::EffectSearch;
 use crate::estimation::effects::state::Scene;
 use crate::estimation::student::normal_deviations_of_ratio;
 
-/// What is added to P − V, as a part of P: of a component that the data leave open both are equal,
-/// and their difference is rounding. Not swept.
+/// Added to P − V, as a part of P. For a component that the data do not determine P and V are
+/// equal, and their difference is rounding. Not swept.
 const ROUNDING_PART: f64 = 1e-6;
 
-/// A motion is odd, and residuals are more than noise, from this many standard deviations on: one view
-/// in four thousand is by chance, if all boards move alike. Chosen, not swept.
+/// A motion is odd, and residuals are larger than noise, from this many standard deviations on. If
+/// all boards move alike, one view in four thousand exceeds it by chance. Chosen, not swept.
 const ODD: f64 = 3.5;
 
 impl EffectSearch {
-    /// How many times as far `view` of `scene` moved as the others let expect, where that is odd, and
-    /// its corners do not fit then either: of a board that moved fast they do. This walk is one of all
-    /// others, at its minimum: with the view among them it would have a part in what the variance of
-    /// motion is. `None` where they do not move.
+    /// The motion of `view` in `scene`, relative to that of the other views. `None` unless it is
+    /// significantly larger than theirs and the corners of the view do not fit even so: the corners
+    /// of a board that merely moved fast do fit. `None` also where the other views do not move.
+    /// `self` is the converged search of all other views; with the view among them, its motion
+    /// would raise the variance that it is tested against.
     ///
-    /// Under a prior of variance P the posterior's mean m of a motion is distributed with variance
-    /// P − V, V being the posterior's: mᵀ (P − V)⁻¹ m is χ² with as many degrees of freedom as the
-    /// motion has numbers, and Fisher's F where P is itself estimated.
+    /// Under a prior of variance P, the posterior mean m of a motion has variance P − V, where V is
+    /// the posterior variance. So mᵀ (P − V)⁻¹ m is χ² with as many degrees of freedom as the
+    /// motion has components, and Fisher's F where P itself is estimated.
     pub(super) fn odd_motion(self, scene: Scene<'_>, view: usize) -> Option<f64> {
         if !self.moves() {
             return None;
@@ -57,7 +59,7 @@ impl EffectSearch {
         let place = walk.system.views.iter().position(|part| part.observation == view)?;
         let covariance = posterior.motion_covariances.get(place)?;
         let lambda = walk.variances.of_motion(&walk.system);
-        // In units of the prior's deviations.
+        // In units of the prior's standard deviations.
         let scale = DVector::from_iterator(rows.len(), rows.iter().map(|k| lambda[*k].sqrt()));
         let motion = DVector::from_iterator(
             rows.len(),
@@ -74,8 +76,8 @@ impl EffectSearch {
         (deviations >= ODD && walk.misfit(scene, view, noise_square) >= ODD).then_some(ratio.sqrt())
     }
 
-    /// By how much a view's residuals exceed noise, as that many standard deviations of a normal
-    /// distribution; six numbers of its pose and six of its motion were fitted.
+    /// By how much a view's residuals exceed the noise, as standard deviations of a normal
+    /// distribution. Six parameters of its pose and six of its motion were fitted.
     fn misfit(&self, scene: Scene<'_>, view: usize, noise_square: f64) -> f64 {
         let used = self.system.residuals[view].iter().zip(&scene.observations[view].used);
         let squares = used.filter(|(_, used)| **used).map(|([x, y], _)| x * x + y * y);

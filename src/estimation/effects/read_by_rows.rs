@@ -1,23 +1,23 @@
-//! What views say of whether they were read by rows.
+//! The test of whether views were read by rows.
 
 /// Whether views were read by rows rather than by columns.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ReadByRows {
-    /// They agree on it.
+    /// The views agree that they were.
     pub(super) is_shown: bool,
-    /// How likely it is that more views would agree on it, 0 to 1.
+    /// The probability that more views would agree, 0 to 1.
     pub(super) probability: f64,
-    /// The part of what they agree on that is beyond chance, 0 to 1: 1 − 1 / t² of a mean that is t
-    /// of its own standard deviations from 0. The weight of least mean square error is
-    /// δ² / (1 + δ²) for a true mean of δ deviations, and t² − 1 is δ² in the mean (W. James,
-    /// C. Stein, *Estimation with quadratic loss*, 1961, its positive part).
+    /// The part of their mean that is beyond chance, 0 to 1: 1 − 1 / t² where the mean is t of its
+    /// own standard deviations from 0. For a true mean of δ deviations, the weight of least mean
+    /// square error is δ² / (1 + δ²), and the expectation of t² − 1 is δ² (W. James, C. Stein,
+    /// *Estimation with quadratic loss*, 1961, positive part).
     pub(super) agreement: f64,
 }
 
 impl ReadByRows {
-    /// The root of the mean square error of a result in which the motion counts as `agreement`, of
-    /// two of which the one with a rolling shutter is right with `probability`, in units of how far
-    /// they differ.
+    /// The expected root mean square error of a result that gives the model with motion the weight
+    /// `agreement`, if that model is right with `probability` and the one without motion is right
+    /// otherwise. In units of the difference between the two.
     pub(super) fn error(&self) -> f64 {
         let Self { probability, agreement, .. } = *self;
         let missing = probability * (1.0 - agreement).powi(2);
@@ -37,7 +37,7 @@ mod tests {
         };
         assert!((error(0.0) - f64::sqrt(0.75)).abs() < 1e-12);
         assert!((error(1.0) - 0.5).abs() < 1e-12);
-        // The least error is that of the mean of both, each as it is likely.
+        // The error is least with both models weighted by their probabilities.
         assert!((error(0.75) - f64::sqrt(0.75 * 0.25)).abs() < 1e-12);
         assert!(error(0.7) > error(0.75) && error(0.8) > error(0.75));
     }

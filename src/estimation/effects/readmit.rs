@@ -1,5 +1,6 @@
-//! Views tried again beside effects: until the board's shape and motion are known, a view in which
-//! the board moves fast is as far off as a mislabeled one.
+//! Rejected views tested again under the model with effects. Before the board's shape and motion
+//! are known, the residuals of a view with a fast-moving board are as large as those of a
+//! mislabeled one.
 
 use std::rc::Rc;
 
@@ -17,8 +18,8 @@ use crate::estimation::view_fault::ViewFault;
 const STEPS: usize = 8;
 
 impl EffectSearch {
-    /// Readmits the views that its effects explain, with lens and shape as they are; answers
-    /// whether there are any. Outliers among their corners are still to be rejected.
+    /// Readmits the views that the effects explain, with lens and shape fixed. Returns whether
+    /// there are any. Outliers among their corners are still to be rejected.
     pub(super) fn readmit(&mut self, scene: Scene<'_>, corners: &mut Corners) -> bool {
         let basis = Rc::clone(&self.basis);
         let mut readmitted = Vec::new();
@@ -42,9 +43,10 @@ impl EffectSearch {
         !readmitted.is_empty()
     }
 
-    /// The state in which the one view of `scene` has the pose and the motion that fit it best;
-    /// `None` where few of its corners are within the limit there. How large its motion is does not
-    /// count: the variance that the other views show is of slower ones.
+    /// The state with the pose and the motion that fit the one view of `scene` best. `None` where
+    /// more than a tenth of its corners exceed the limit there. How large the motion is has no part
+    /// in this decision, since the other views' variance is that of slower motions; the variance
+    /// only regularizes the fit.
     fn explained(&self, scene: Scene<'_>, limit: f64) -> Option<EffectsState> {
         let globals = DVector::zeros(scene.global_len());
         let mut state = self.state.clone();

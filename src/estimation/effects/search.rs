@@ -1,4 +1,4 @@
-//! The walk to the posterior's mode, with variances updated on the way.
+//! The search for the posterior's mode, with variances updated on the way.
 
 use std::rc::Rc;
 
@@ -14,48 +14,49 @@ use crate::estimation::effects::system::System;
 use crate::estimation::joint::State;
 use crate::geometry::lens::Lens;
 
-/// What the board's shape, or its motion, must raise the logarithm of the evidence by to be in the
-/// model: chance alone does once in a hundred times (χ² of the few variances that each has).
+/// The board's shape, or its motion, must raise the logarithm of the evidence by this to be in the
+/// model. Chance alone does so once in a hundred times (χ² of the few variances that each has).
 pub(super) const LEAST_GROUP_GAIN: f64 = 4.0;
 
-/// Likewise for one kind of shape or of motion where others of its group are in the model.
+/// Likewise for one kind of shape or motion, given that others of its group are in the model.
 const LEAST_GAIN: f64 = 1.5;
 
-/// Steps before effects that nothing shows are taken out; the rest is quicker without them.
+/// Steps before insignificant effects are dropped: the remaining steps are faster without them.
 const FIRST_STEPS: usize = 3;
 
-/// Steps after effects were taken out, or corners chosen anew: both are near then.
+/// Steps after effects were dropped or corners selected again: the minimum is then close.
 pub(super) const MAX_STEPS: usize = 5;
 
-/// State and variances have settled where no ln λ changes by more than this, of effects of which
-/// the data determine a coefficient or more, …
+/// State and variances have converged where no ln λ changes by more than this, among effects of
+/// which the data determine one coefficient or more, …
 const SETTLED_LOG_LAMBDA: f64 = 0.1;
-/// … and a step lowers the sum of squares by less than this, in units of the noise's variance: 0.17
-/// standard deviations from the mode. Neither was swept.
+/// … and a step lowers the sum of squares by less than this, in units of the noise's variance: the
+/// mode is then 0.17 standard deviations away. Neither was swept.
 const SETTLED_COST: f64 = 0.03;
 
-/// Steps that bring views among others whose variances stand. Not swept.
+/// Steps at fixed variances after a view is added. Not swept.
 const MAX_JOINING_STEPS: usize = 8;
 
-/// How often a step that raises the cost is halved before there is none.
+/// How often a step that raises the cost is halved before the state is left as it is.
 const MAX_HALVINGS: usize = 8;
 
 /// Steps with smooth shapes alone.
 const ROUGH_STEPS: usize = 8;
 
-/// The walk. What is not in the model has no unknowns.
+/// The search. An effect that is not in the model has no unknowns.
 pub(super) struct EffectSearch {
     pub(super) state: EffectsState,
     pub(super) system: System,
     pub(super) variances: Variances,
-    /// Those functions on the board that are in the model.
+    /// The functions on the board that are in the model.
     pub(super) basis: Rc<BoardBasis>,
-    /// What data and variances say here, where that was asked last.
+    /// The posterior at this state and these variances, where it was computed last.
     pub(super) here: Option<Posterior>,
 }
 
 impl EffectSearch {
-    /// First with a few smooth shapes alone, which take a tenth of the time and lead near.
+    /// Starts with a few smooth shapes alone: they take a tenth of the time and lead close to the
+    /// mode.
     pub(super) fn start(scene: Scene<'_>, plain: State, wanted: Wanted) -> Option<Self> {
         let rough = BoardBasis::of(scene.observations, false)?;
         let flat = EffectsState::flat_and_still(plain, &rough, scene.observations.len());
@@ -70,8 +71,8 @@ impl EffectSearch {
         shape[..heights].copy_from_slice(&near.state.shape[..heights]);
         let stretches = Effect::Stretch.range(scene.basis);
         shape[stretches].copy_from_slice(&near.state.shape[heights..]);
-        // Offsets of their own make the equations large: where smooth shapes and motion leave
-        // nothing that they would explain, they are left out.
+        // Offsets of single points make the equations large. They are left out where smooth shapes
+        // and motion leave no residuals that they would explain.
         let basis = Rc::clone(&near.basis);
         let narrow = near.narrowed(rough_scene, &basis);
         let noise_square = near.reduced(narrow, &near.variances)?.noise_square(&near.state);
@@ -80,14 +81,14 @@ impl EffectSearch {
         let state = EffectsState { shape, ..near.state };
         let mut next = Self::from_state(scene, state, wanted, own)?;
         for one in &mut next.variances.0 {
-            // What the rough shapes hid comes back sooner from too wide a variance.
+            // Too wide a variance lets effects that the rough shapes hid appear in fewer steps.
             let found = near.variances.of(one.effect);
             one.lambda = found.map_or(one.lambda, |found| found.min(one.lambda));
         }
         Some(next)
     }
 
-    /// From effects that were found before, of the same views.
+    /// Starts from effects that were found before in the same views.
     pub(super) fn from_found(
         scene: Scene<'_>,
         fixed: State,
@@ -99,8 +100,8 @@ impl EffectSearch {
         Some(Self::from_state(scene, state, wanted, own)?.with_variances_of(found))
     }
 
-    /// With the very effects that were found before, of the same views, at the minimum; with or
-    /// without the motion among them.
+    /// The minimum with the same effects that were found before in the same views, with or without
+    /// the motion among them.
     pub(super) fn same_as(
         scene: Scene<'_>,
         (fixed, found): (State, &EffectsFit),
@@ -121,8 +122,8 @@ impl EffectSearch {
         self
     }
 
-    /// With all effects that are wanted, in a scene that has all of them; `own` for offsets of each
-    /// point too.
+    /// Starts with all wanted effects, in a scene whose basis has all of them; with offsets of
+    /// single points too if `own`.
     fn from_state(
         scene: Scene<'_>,
         state: EffectsState,
@@ -152,7 +153,7 @@ impl EffectSearch {
         Some(Self { state, system, variances, basis: Rc::new(basis), here: None })
     }
 
-    /// The scene with what is in the model, `basis` being its own.
+    /// The scene restricted to what is in the model; `basis` is this search's own.
     pub(super) fn narrowed<'a>(&self, scene: Scene<'a>, basis: &'a BoardBasis) -> Scene<'a> {
         Scene { basis, moves: self.moves(), ..scene }
     }
@@ -169,14 +170,14 @@ impl EffectSearch {
         Self::from_state(scene, flat, none, false)
     }
 
-    /// At the minimum with corners chosen anew, with the same effects.
+    /// The minimum with the same effects, after corners were selected again.
     pub(super) fn settled_again(self, scene: Scene<'_>) -> Option<Self> {
         let mut next = self.again(scene)?;
         next.settle(scene, MAX_STEPS)?;
         Some(next)
     }
 
-    /// At the minimum, with the effects that are missed without; `None` where there are none.
+    /// The minimum with only the significant effects; `None` where there are none.
     pub(super) fn settled(mut self, scene: Scene<'_>, wanted: Wanted) -> Option<Self> {
         let mut steps = FIRST_STEPS;
         loop {
@@ -195,7 +196,7 @@ impl EffectSearch {
         &self.state.fixed.lenses[0]
     }
 
-    /// The same with corners chosen anew.
+    /// The same state and variances, with the equations of the corners as selected now.
     pub(super) fn again(self, scene: Scene<'_>) -> Option<Self> {
         let system = System::at(self.narrowed(scene, &self.basis), &self.state)?;
         Some(Self { system, here: None, ..self })
@@ -205,7 +206,7 @@ impl EffectSearch {
         self.variances.moves()
     }
 
-    /// A walk on from here without the motion, in another scene.
+    /// A search that starts from this state with all motions zero, in another scene.
     pub(super) fn still(&self, scene: Scene<'_>) -> Option<Self> {
         let mut state = self.state.clone();
         for effect in self.variances.effects().into_iter().filter(|effect| effect.is_motion()) {
@@ -224,7 +225,7 @@ impl EffectSearch {
         Some(self.reduced(scene, &self.variances)?.posterior(&self.state))
     }
 
-    /// Steps until neither state nor variances move.
+    /// Steps until state and variances have converged.
     pub(super) fn settle(&mut self, scene: Scene<'_>, max_steps: usize) -> Option<()> {
         self.here = None;
         let basis = Rc::clone(&self.basis);
@@ -251,7 +252,7 @@ impl EffectSearch {
         Some(())
     }
 
-    /// Steps until the state does not move, the variances as they are.
+    /// Steps until the state has converged, at fixed variances.
     pub(super) fn join(&mut self, scene: Scene<'_>, noise_square: f64) -> Option<()> {
         self.here = None;
         let basis = Rc::clone(&self.basis);
@@ -267,7 +268,7 @@ impl EffectSearch {
         Some(())
     }
 
-    /// A step that lowers the penalized cost; answers by how much.
+    /// Makes a step that lowers the penalized cost, and returns the decrease.
     fn step(&mut self, scene: Scene<'_>, posterior: &Posterior, cost: f64) -> Option<f64> {
         let mut part = 1.0;
         for _ in 0..MAX_HALVINGS {
@@ -300,7 +301,7 @@ impl EffectSearch {
         self.state.stepped(scene, &(&posterior.global * part), &view_steps)
     }
 
-    /// Takes out what is not missed; answers whether anything was.
+    /// Drops the effects that are not significant, and returns whether there were any.
     fn drop_idle(&mut self, scene: Scene<'_>, wanted: Wanted) -> Option<bool> {
         let basis = Rc::clone(&self.basis);
         let scene = self.narrowed(scene, &basis);
@@ -321,7 +322,7 @@ impl EffectSearch {
         Some(true)
     }
 
-    /// The effects that are not missed, with the posterior that says so.
+    /// The effects that are not significant, with the posterior from which this follows.
     fn idle(&self, scene: Scene<'_>, wanted: Wanted) -> Option<(Vec<Effect>, Posterior)> {
         let reduced = self.reduced(scene, &self.variances)?;
         let with = reduced.log_evidence(&self.state);
@@ -346,8 +347,8 @@ impl EffectSearch {
             let whole = with - self.log_evidence(scene, &self.variances.held(&effects))?;
             let missed = |gain: &f64| whole >= LEAST_GROUP_GAIN && *gain >= LEAST_GAIN;
             idle.extend(group.iter().filter(|(_, gain)| !missed(gain)).map(|(effect, _)| *effect));
-            // That views do not show a stretch is no proof that there is none: upright, a board's
-            // aspect is that of the pixels.
+            // A stretch that the views do not show may still exist: in upright views the board's
+            // aspect cannot be separated from that of the pixels.
             let is_kept = |effect: &Effect| *effect != Effect::Stretch && !idle.contains(effect);
             if effects.iter().any(is_kept) {
                 idle.retain(|effect| *effect != Effect::Stretch);

@@ -1,7 +1,7 @@
-//! Products of the board's shape with everything else, by way of its points. A function on the
-//! board only moves points: its products follow from those of each point's movements along the
-//! board's axes, which are summed over the views first: a column for each of 52 polynomials in each
-//! view takes 1.6 times as long.
+//! Products of the board's shape with all other parameters, computed by way of its points. A
+//! function on the board only moves points, so its products follow from those of each point's
+//! displacement along the board's axes, which are summed over the views first. One column for each
+//! of 52 polynomials in each view would take 1.6 times as long.
 
 use nalgebra::{DMatrix, DVector, Matrix3};
 use pulp::{Arch, Simd, WithSimd};
@@ -11,11 +11,11 @@ use crate::estimation::effects::board_basis::BoardBasis;
 /// Pairs of axes, in the order of [`PointProducts::squares`].
 const PAIRS: [(usize, usize); 6] = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)];
 
-/// Where the square of two axes is.
+/// The index in [`PAIRS`] of two axes.
 const PAIR_OF: [[usize; 3]; 3] = [[0, 1, 2], [1, 3, 4], [2, 4, 5]];
 
-/// The weighted derivatives by a movement of each corner along the board's x, y and z, from the six
-/// columns of the pose: each all corners' x, then all corners' y.
+/// The weighted derivatives by a displacement of each corner along the board's x, y and z, from the
+/// six columns of the pose. Each holds all corners' x, then all corners' y.
 pub(super) fn by_board_axes(camera_from_board: &Matrix3<f64>, pose: &[f64]) -> [Vec<f64>; 3] {
     let rows = pose.len() / 7;
     let along = |k: usize| &pose[(3 + k) * rows..][..rows];
@@ -27,30 +27,30 @@ pub(super) fn by_board_axes(camera_from_board: &Matrix3<f64>, pose: &[f64]) -> [
     })
 }
 
-/// Products of the derivatives by the movement of each point along the board's axes.
+/// Products of the derivatives by the displacement of each point along the board's axes.
 pub(super) struct PointProducts {
-    /// With each other, summed over the views: of each point.
+    /// Of two axes, summed over the views: one value per point.
     squares: [Vec<f64>; 6],
-    /// Of each axis, with the lens's parameters and the residual, summed over the views: points ×
+    /// Of each axis with the lens's parameters and the residual, summed over the views: points ×
     /// columns.
     global: [DMatrix<f64>; 3],
-    /// Of each axis, with the pose and the motion of one view after the other.
+    /// Of each axis with the pose and the motion of each view, view after view.
     local: [DMatrix<f64>; 3],
-    /// The pose's six columns, with the motion's twelve.
+    /// Columns per view: six of the pose, or twelve with the motion.
     of_view: usize,
     room: Vec<f64>,
 }
 
 /// One view, linearized.
 pub(super) struct SeenPoints<'a> {
-    /// As [`by_board_axes`] answers them.
+    /// As [`by_board_axes`] returns them.
     pub(super) by: [Vec<f64>; 3],
     /// The columns of the lens, of the pose, and the residual.
     pub(super) plain: &'a [f64],
-    /// Which point each corner is.
+    /// The index of each corner's point.
     pub(super) point_of: &'a [usize],
-    /// For the motion: of rotation and translation, the time at which each corner is read, in the
-    /// unit of that motion.
+    /// For rotation and translation: the time at which each corner is read, in the unit of that
+    /// motion.
     pub(super) times: [&'a [f64]; 2],
 }
 
@@ -67,19 +67,19 @@ impl PointProducts {
         }
     }
 
-    /// Adds the view that is `number` in their order.
+    /// Adds the view with this `number` in the order of the views.
     pub(super) fn add(&mut self, number: usize, seen: &SeenPoints<'_>) {
         Arch::new().dispatch(Addition { products: self, number, seen });
     }
 
-    /// Of each point: the gradient by its own x and y, and the diagonal of their information.
+    /// Per point: the gradient by its own x and y, and the diagonal of their information.
     pub(super) fn own_scores(&self) -> Vec<[f64; 4]> {
         let residual = self.global[0].ncols() - 1;
         let [x, y] = [0, 1].map(|axis| self.global[axis].column(residual));
         (0..x.len()).map(|p| [x[p], y[p], self.squares[0][p], self.squares[3][p]]).collect()
     }
 
-    /// Adds what the shape adds to the lower half of the global equations, and to their gradient.
+    /// Adds the shape's part to the lower triangle of the global equations, and to their gradient.
     pub(super) fn add_to(
         &self,
         basis: &BoardBasis,
@@ -93,7 +93,7 @@ impl PointProducts {
         self.add_squares(basis, lens, global);
     }
 
-    /// The couplings of the shape with pose and motion of each view after the other: shape ×
+    /// The coupling of the shape with pose and motion of each view, view after view: shape ×
     /// columns.
     pub(super) fn coupling(&self, basis: &BoardBasis) -> DMatrix<f64> {
         by_shape(basis, &self.local)
@@ -104,8 +104,8 @@ impl PointProducts {
     }
 
     fn add_squares(&self, basis: &BoardBasis, first: usize, global: &mut DMatrix<f64>) {
-        // What a movement of the points along each axis has to do with every function of all
-        // points.
+        // Products of a displacement of each point along each axis with every function that extends
+        // over all points.
         let (heights, smooth) = (basis.heights.len(), basis.smooth_len());
         let mut moved = [(); 3].map(|()| DMatrix::zeros(basis.points.len(), smooth));
         for (axis, moved) in moved.iter_mut().enumerate() {
@@ -136,8 +136,8 @@ impl PointProducts {
     }
 }
 
-/// Sums over the points, weighted by each function of the shape: of (points × columns) by axis,
-/// shape × columns.
+/// Sums over the points, weighted by each function of the shape: (points × columns) per axis
+/// becomes shape × columns.
 fn by_shape(basis: &BoardBasis, of: &[DMatrix<f64>; 3]) -> DMatrix<f64> {
     let (heights, smooth, count) = (basis.heights.len(), basis.smooth_len(), of[0].ncols());
     let points = basis.points.len();
@@ -168,7 +168,7 @@ struct Addition<'a, 'b> {
 impl WithSimd for Addition<'_, '_> {
     type Output = ();
 
-    /// The loops are plain; compiled here they use the machine's widest vectors.
+    /// The loops are plain: compiled in here, they use the machine's widest vectors.
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
         let Self { products, number, seen } = self;
@@ -215,7 +215,7 @@ fn multiply(a: &[f64], b: &[f64], products: &mut [f64]) {
     }
 }
 
-/// Adds what belongs to each corner to its point.
+/// Adds each corner's value to that of its point.
 #[inline(always)]
 fn add(to: &mut [f64], of_corners: &[f64], point_of: &[usize]) {
     for (point, value) in point_of.iter().zip(of_corners) {

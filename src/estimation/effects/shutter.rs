@@ -1,5 +1,5 @@
-//! Whether motion that was found is a rolling shutter's: twelve unknowns a view always explain
-//! something of whatever else is wrong.
+//! Whether the motion that was found is a rolling shutter's. The test is needed because twelve
+//! unknowns per view always explain a part of any other model error.
 
 use std::rc::Rc;
 
@@ -14,28 +14,28 @@ use crate::estimation::normal_probability::normal_probability;
 use crate::estimation::student::normal_deviations;
 use crate::geometry::median::median;
 
-/// Views agree where their mean is this many of its standard deviations from 0: less than five
-/// times in a thousand by chance, with fifteen views.
+/// The views agree where their mean is this many of its standard deviations from 0. With fifteen
+/// views, chance alone exceeds it less than five times in a thousand.
 const AGREED: f64 = 3.0;
 
-/// Of fewer than eight views, chance gives that more often than once in a hundred times: this many
-/// standard deviations of a normal distribution are as rare as that.
+/// With fewer than eight views, chance exceeds [`AGREED`] more often than once in a hundred times.
+/// So the mean must also be as rare as this many standard deviations of a normal distribution.
 const AGREED_OF_FEW: f64 = 2.33;
 
-/// Steps after which the control is near enough for a first comparison, which stands where it is
-/// this many times beyond what is asked: further steps moved its mean by a quarter at most.
+/// Steps of the control before a first comparison. That result is final where it exceeds what is
+/// required by this factor: further steps moved its mean by a quarter at most.
 const FIRST_STEPS: usize = 2;
 const CLEARLY: f64 = 1.5;
 
-/// A view counts for this many times what views typically do at most: one whose motion has not
-/// settled must not decide.
+/// A view's value is clamped to this many times the median of all views, so that one whose motion
+/// has not converged cannot decide.
 const MOST: f64 = 5.0;
 
 impl EffectSearch {
-    /// Whether views agree that they were read by rows rather than by columns, which explains
-    /// nearly as much of everything that is no shutter (Q. H. Vuong, *Likelihood ratio tests for
-    /// model selection and non-nested hypotheses*, 1989: the views are what is independent, not
-    /// their corners).
+    /// Whether views agree that they were read by rows rather than by columns. Motion read by
+    /// columns is the control: it explains nearly as much of any other model error (Q. H. Vuong,
+    /// *Likelihood ratio tests for model selection and non-nested hypotheses*, 1989; the
+    /// independent samples are the views, not their corners).
     pub(super) fn read_by_rows(&self, scene: Scene<'_>, width: f64) -> Option<ReadByRows> {
         let basis = Rc::clone(&self.basis);
         let scene = Scene { basis: &basis, moves: true, ..scene };
@@ -52,7 +52,7 @@ impl EffectSearch {
         if first.is_shown { Some(first) } else { against(MAX_STEPS - FIRST_STEPS, 1.0) }
     }
 
-    /// The logarithm of the evidence, and what each view adds to it, the globals as they are.
+    /// The logarithm of the evidence, and each view's part in it with the globals fixed.
     fn evidences(&self, scene: Scene<'_>) -> Option<(f64, Vec<f64>)> {
         let lens = scene.layout.len;
         let reduced = Reduced::of(&self.system, &self.state, scene.basis, lens, &self.variances)?;
@@ -78,8 +78,8 @@ impl EffectSearch {
 }
 
 impl ReadByRows {
-    /// From how much more evidence there is for rows than for columns, in all and view by view;
-    /// shown where it is `asked` times what must be. `None` of no views.
+    /// From the log evidence for rows minus that for columns, in total and per view. Both
+    /// thresholds are multiplied by `asked`. `None` without views.
     fn of(favor: f64, of_views: &[f64], asked: f64) -> Option<Self> {
         let typical = median(of_views.iter().map(|one: &f64| one.abs()).collect())?;
         let of_views: Vec<f64> =

@@ -1,15 +1,15 @@
-//! Products of matrices with six columns: what a pose or a motion is coupled with. Columns are
-//! contiguous and long, so that all work on them is by whole columns.
+//! Products of matrices with six columns: the couplings of a pose or a motion. Columns are
+//! contiguous and long, so all loops run along columns.
 
 use nalgebra::{Dim, Matrix, Matrix6, MatrixXx6, RawStorage};
 use pulp::{Arch, Simd, WithSimd};
 
-/// X L⁻ᵀ in place of X, of a lower-triangular L.
+/// Replaces X by X L⁻ᵀ, where L is lower triangular.
 pub(super) fn by_inverse_transpose(x: &mut MatrixXx6<f64>, lower: &Matrix6<f64>) {
     Arch::new().dispatch(ByInverseTranspose { x, lower });
 }
 
-/// Takes A B from X.
+/// Subtracts A B from X.
 pub(super) fn take_product(x: &mut MatrixXx6<f64>, a: &MatrixXx6<f64>, b: &Matrix6<f64>) {
     Arch::new().dispatch(TakeProduct { x, a, b });
 }
@@ -37,7 +37,7 @@ struct ByInverseTranspose<'a> {
 impl WithSimd for ByInverseTranspose<'_> {
     type Output = ();
 
-    /// The loops are plain; compiled here they use the machine's widest vectors.
+    /// The loops are plain: compiled in here, they use the machine's widest vectors.
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
         let rows = self.x.nrows();
@@ -74,7 +74,7 @@ impl WithSimd for TakeProduct<'_> {
     }
 }
 
-/// Takes `factor` times `other` from `column`.
+/// Subtracts `factor` times `other` from `column`.
 #[inline(always)]
 fn subtract(column: &mut [f64], factor: f64, other: &[f64]) {
     column.iter_mut().zip(other).for_each(|(value, other)| *value -= factor * other);

@@ -1,4 +1,4 @@
-//! Values of all parameters with the board's shape and each view's motion.
+//! The values of all parameters, including the board's shape and each view's motion.
 
 use nalgebra::{DVector, Point3, UnitQuaternion, Vector2, Vector3, Vector6};
 
@@ -9,7 +9,7 @@ use crate::estimation::view_motion::read_out_time;
 use crate::geometry::pixel::Pixel;
 use crate::geometry::pose::{Pose, pose_step};
 
-/// The observations, and what of them is modelled.
+/// The observations, and which effects of them are modelled.
 #[derive(Clone, Copy)]
 pub(super) struct Scene<'a> {
     pub(super) layout: &'a Layout,
@@ -19,9 +19,9 @@ pub(super) struct Scene<'a> {
     pub(super) good: &'a [usize],
     /// The height of the images, in rows.
     pub(super) rows: f64,
-    /// Whether columns are read one after another in place of rows: a control.
+    /// As a control, the images' width where columns are read one after another in place of rows.
     pub(super) by_columns: Option<f64>,
-    /// Whether motion is modelled; without, its columns are left out.
+    /// Whether motion is modelled; if not, its columns are left out.
     pub(super) moves: bool,
 }
 
@@ -31,19 +31,19 @@ impl Scene<'_> {
     }
 }
 
-/// The lens and the poses, with what is random.
+/// Lens and poses, with the random effects.
 #[derive(Debug, Clone)]
 pub(crate) struct EffectsState {
     pub(crate) fixed: State,
     /// Coefficients of [`BoardBasis`], in meters.
     pub(crate) shape: Vec<f64>,
-    /// Per observation: how the board moves in the camera's frame from the image's first row to its
-    /// last, as a rotation about the board's center times half the board's diagonal, then a
-    /// translation; in meters. The pose is that at the middle row.
+    /// Per observation, in meters: the board's motion in the camera's frame from the image's first
+    /// row to its last. First a rotation vector about the board's center, times half the board's
+    /// diagonal, then a translation. The pose is that at the middle row.
     pub(crate) motions: Vec<Vector6<f64>>,
 }
 
-/// A step of what is an observation's own.
+/// A step of the parameters of one observation.
 pub(super) struct ViewStep {
     pub(super) observation: usize,
     /// Rotation, translation.
@@ -52,7 +52,7 @@ pub(super) struct ViewStep {
     pub(super) motion: Vector6<f64>,
 }
 
-/// When each corner was read, in read-outs of an image from its middle.
+/// When each corner was read, relative to the image's middle, in units of the read-out time.
 pub(super) fn read_out_times(observation: &BoardObservation, scene: Scene<'_>) -> Vec<f64> {
     let time = |pixel: &Pixel| match scene.by_columns {
         None => read_out_time(pixel.y, scene.rows),
@@ -77,7 +77,7 @@ impl EffectsState {
         let mut poses = vec![[0.0; 6]; next.fixed.rig_from_board.len()];
         for view in views {
             poses[scene.observations[view.observation].frame_set] = view.pose.into();
-            // The motion is carried with the pose, as its derivatives are.
+            // The motion rotates with the pose, as its derivatives assume.
             let rotation =
                 UnitQuaternion::from_scaled_axis(view.pose.fixed_rows::<3>(0).clone_owned());
             let own = &mut next.motions[view.observation];
@@ -93,8 +93,8 @@ impl EffectsState {
         Some(next)
     }
 
-    /// An observation with its points where shape and motion put them, in the board frame of the
-    /// middle row's pose: the plain projection of these is the projection of the moved board.
+    /// An observation with its points displaced by shape and motion, in the board frame of the
+    /// middle row's pose: the plain projection of these points is that of the moving board.
     pub(super) fn moved_observation(
         &self,
         scene: Scene<'_>,
@@ -116,9 +116,9 @@ impl EffectsState {
         seen
     }
 
-    /// The same with the rigid motion and the scale that the points' own offsets have in common
-    /// given to the poses: neither is a shape. Of an offset and a pose that cancel only the prior
-    /// sees anything, so steps end before the offsets are free of it.
+    /// Moves the rigid motion and the scale that the points' offsets have in common into the poses,
+    /// since neither is a shape. Where offsets and poses cancel, only the prior constrains them, so
+    /// the search ends before the offsets are free of a common motion.
     pub(super) fn with_rigid_part_in_poses(mut self, basis: &BoardBasis) -> Self {
         let own = &mut self.shape[basis.smooth_len()..];
         if !basis.has_own {
@@ -143,8 +143,8 @@ impl EffectsState {
             offset[0] -= rigid.x;
             offset[1] -= rigid.y;
         }
-        // x of the old shape is translation + center + (1 + scale) R (x' - center) of the new one;
-        // distances from the camera are in units of the scale.
+        // A point x' of the new shape was at translation + center + (1 + scale) R (x' - center) in
+        // the old one, and distances from the camera are divided by 1 + scale.
         let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle);
         let center = Vector3::new(center.x, center.y, 0.0);
         let translation = Vector3::new(translation.x, translation.y, 0.0);
@@ -176,7 +176,7 @@ impl EffectsState {
         Some([board_from_camera * (of(0) / basis.lever()), board_from_camera * of(3)])
     }
 
-    /// Takes an effect out.
+    /// Sets the coefficients of an effect to zero.
     pub(super) fn clear(&mut self, effect: Effect, basis: &BoardBasis) {
         let range = effect.range(basis);
         if effect.is_motion() {

@@ -1,9 +1,10 @@
 //! The normal equations of lens, board shape, poses and motions at one state, with the poses
-//! eliminated: what every choice of variances starts from, without another pass over the corners.
+//! eliminated. They do not depend on the variances, so that these can be varied without another
+//! pass over the corners.
 //!
-//! Global columns: the lens's free parameters, the board's shape ([`BoardBasis`]). A view's own:
-//! six of its pose, which are eliminated here, and six of its motion while it was read, which are
-//! kept because their variance is still to be estimated.
+//! Global columns: the lens's free parameters and the board's shape ([`BoardBasis`]). Columns of
+//! each view: six of its pose, which are eliminated here, and six of its motion, which are kept
+//! because their elimination depends on the variance of motion.
 
 use nalgebra::{DMatrix, DMatrixView, DVector, Matrix6, MatrixXx6, Vector3, Vector6};
 
@@ -17,18 +18,18 @@ use crate::estimation::joint::linearize::{
 };
 use crate::estimation::robust::Loss;
 
-/// One view's part that variances change.
+/// One view's part of the equations.
 pub(super) struct ViewPart {
     pub(super) observation: usize,
-    /// L of L Lᵀ = the pose's block.
+    /// Cholesky factor L of the pose's block.
     pose_factor: Matrix6<f64>,
-    /// What couples the pose with the globals (globals × 6), times L⁻ᵀ; L⁻¹ of what couples it with
-    /// the motion and the residual.
+    /// The coupling of the pose with the globals (globals × 6), times L⁻ᵀ; then L⁻¹ times its
+    /// coupling with the motion, and times its gradient.
     half: MatrixXx6<f64>,
     half_motion: Matrix6<f64>,
     half_gradient: Vector6<f64>,
-    /// The motion's block, its coupling with the globals (globals × 6), its gradient; the pose
-    /// eliminated.
+    /// The motion's block, its coupling with the globals (globals × 6) and its gradient, all with
+    /// the pose eliminated.
     pub(super) motion: Matrix6<f64>,
     pub(super) motion_coupling: MatrixXx6<f64>,
     pub(super) motion_gradient: Vector6<f64>,
@@ -36,11 +37,11 @@ pub(super) struct ViewPart {
 
 /// The equations of all views.
 pub(super) struct System {
-    /// Sum of the squared residuals, in the corners' own standard deviations.
+    /// Sum of the squared residuals, each in units of its corner's standard deviation.
     pub(super) cost: f64,
-    /// How many residuals.
+    /// Number of residuals: two per inlier corner.
     pub(super) residual_count: usize,
-    /// Its lower half.
+    /// The block of the global parameters, poses eliminated: its lower triangle.
     pub(super) global: DMatrix<f64>,
     pub(super) gradient: DVector<f64>,
     pub(super) views: Vec<ViewPart>,
@@ -50,7 +51,7 @@ pub(super) struct System {
     pub(super) residuals: Vec<Vec<[f64; 2]>>,
 }
 
-/// Room that is used again from view to view.
+/// Buffers that are reused from view to view.
 #[derive(Default)]
 struct Room {
     columns: Columns,
@@ -101,7 +102,7 @@ impl System {
         Some(system)
     }
 
-    /// Adds one view's residuals, its points' products, and what it says of the lens.
+    /// Adds one view's residuals, the products of its points, and its information on the lens.
     fn add_view(
         &mut self,
         scene: Scene<'_>,
@@ -113,7 +114,7 @@ impl System {
         let residuals = self.residuals[observation].as_mut_slice();
         let into = LinearizedObservation { residuals, local: &mut room.local };
         let at = LinearizationPoint { layout: scene.layout, state: &state.fixed };
-        // With motion there are more columns to multiply.
+        // With motion, the products are computed below, after its columns are appended.
         let linearize = if scene.moves { differentiate_observation } else { linearize_observation };
         if !linearize(at, &seen, Loss::Squares, &mut room.columns, into) {
             return None;
@@ -153,7 +154,7 @@ impl System {
         Some(ViewProducts { observation, products: std::mem::take(&mut room.local) })
     }
 
-    /// Takes from the global block what the poses explain, all views in one product.
+    /// Eliminates the poses from the global block, all views in one product.
     fn eliminate_poses(&mut self) {
         let globals = self.gradient.len();
         let mut halves = DMatrix::zeros(globals, 6 * self.views.len());
@@ -208,19 +209,19 @@ impl ViewPart {
         Some(part)
     }
 
-    /// By how much its pose alone can lower the cost.
+    /// The largest decrease of the cost by a step of its pose alone.
     pub(super) fn pose_decrease(&self) -> f64 {
         self.half_gradient.norm_squared()
     }
 
-    /// The step of the pose that belongs to steps of the globals and of the motion.
+    /// The pose's step that belongs to these steps of the globals and of the motion.
     pub(super) fn pose_step(&self, global: &DVector<f64>, motion: &Vector6<f64>) -> Vector6<f64> {
         let right = self.half_gradient + self.half.tr_mul(global) + self.half_motion * motion;
         self.pose_factor.tr_solve_lower_triangular(&-right).unwrap_or_else(Vector6::zeros)
     }
 
-    /// How the pose follows the globals, and the motion: (globals × 6, 6 × 6), and the covariance
-    /// of the pose when both are known.
+    /// The pose's response to the globals (globals × 6) and to the motion (6 × 6), and the
+    /// covariance of the pose with both fixed.
     pub(super) fn pose_response(&self) -> Option<(MatrixXx6<f64>, Matrix6<f64>, Matrix6<f64>)> {
         let inverse = self.pose_factor.try_inverse()?;
         let up = inverse.transpose();

@@ -4,8 +4,8 @@ use crate::estimation::effects::shape_products::by_board_axes;
 use crate::estimation::effects::state::{Scene, read_out_times};
 use crate::estimation::joint::BoardObservation;
 
-/// Where the columns of one view's Jacobian lie: lens, smooth shapes, motion, pose, residual; each
-/// all corners' x, then all corners' y.
+/// The layout of one view's Jacobian: lens, smooth shapes, motion, pose, residual. Each column
+/// holds all corners' x, then all corners' y.
 pub(super) struct ViewColumns<'a> {
     scene: Scene<'a>,
     lens: usize,
@@ -41,18 +41,18 @@ impl<'a> ViewColumns<'a> {
         self.residual() + 1
     }
 
-    /// How many globals there are.
+    /// Number of global parameters.
     pub(super) fn globals(&self) -> usize {
         self.scene.global_len()
     }
 
-    /// The points that have offsets of their own, corner by corner.
+    /// The index of each corner's point, where points have offsets of their own; otherwise empty.
     pub(super) fn own(&self) -> &'a [usize] {
         if self.scene.basis.has_own { self.point_of } else { &[] }
     }
 
-    /// Fills `values` from the columns (lens, pose, residual) of the plain problem; answers the
-    /// derivatives by a movement along the board's x and y.
+    /// Fills `values` from the columns (lens, pose, residual) of the plain problem. Returns the
+    /// derivatives by a displacement along the board's x and y.
     pub(super) fn fill(
         &self,
         camera_from_board: &nalgebra::Matrix3<f64>,
