@@ -1,17 +1,19 @@
-//! Depth in the joint problem: the corrected 1/z of every tile against that of the board's plane,
+//! Depth in the joint problem: the corrected 1/z of every tile against that of the board's plane.
 //!
 //! ```text
 //! e = (correct(1/z, pixel) − n·ray(pixel) / n·t) / (gain · std)
 //! n = R e_z, (R, t) = sensor_from_board
 //! ```
 //!
-//! where the gain ∂correct/∂(1/z) is what the correction does to the reading's noise: without it, a
-//! correction to 1/z = 0 of planes infinitely far away would leave nothing.
+//! The gain is ∂correct/∂(1/z), by which the correction scales the reading's noise. Without it, a
+//! correction that maps all readings to 1/z = 0, with the planes at infinity, would leave no
+//! residuals.
 //!
-//! 1/z of a plane is linear in the ray (x, y, 1), and the correction linear in its coefficients, so
-//! that this converges from afar. The ray follows from the pixel by the depth camera's own lens (D.
-//! Herrera C., J. Kannala, J. Heikkilä, *Joint depth and color camera calibration with distortion
-//! correction*, PAMI 2012, with the plane's error in inverse depth).
+//! 1/z of a plane is linear in the ray (x, y, 1), and the correction is linear in its coefficients,
+//! so the iterations converge from distant starts. The ray follows from the pixel by the depth
+//! camera's own lens (D. Herrera C., J. Kannala, J. Heikkilä, *Joint depth and color camera
+//! calibration with distortion correction*, PAMI 2012, here with the plane's error in inverse
+//! depth).
 
 use nalgebra::{Matrix2, Vector3};
 
@@ -36,7 +38,7 @@ pub(crate) struct PlaneObservation {
     pub(crate) used: Vec<bool>,
 }
 
-/// The derivatives of one residual: by global parameters, and by the board's pose in the sensor's
+/// One residual, with its derivatives by global parameters and by the board's pose in the sensor's
 /// frame.
 struct DepthRow {
     residual: f64,
@@ -44,17 +46,17 @@ struct DepthRow {
     by_pose: [f64; 6],
 }
 
-/// A correction, and where its coefficients begin among the global parameters.
+/// A correction, and the index of its first coefficient among the global parameters.
 #[derive(Clone, Copy)]
 pub(crate) struct CorrectionColumns<'a> {
     pub(crate) correction: &'a DepthCorrection,
     pub(crate) first: usize,
 }
 
-/// Adds the planes to the normal equations, and answers every tile's residual in standard
-/// deviations (infinite where the lens sees nothing). Where the boards' poses are not `free`, the
-/// equations only get what couples them to the rest. Of the globals' block only the upper half is
-/// added to.
+/// Adds the planes to the normal equations, and returns every tile's residual in standard
+/// deviations (infinite where a tile cannot be linearized). Where the boards' poses are not `free`,
+/// only their coupling with the other parameters is added. Of the globals' block only the upper
+/// triangle is filled.
 pub(crate) fn add_planes(
     equations: &mut NormalEquations,
     at: LinearizationPoint<'_>,
@@ -103,7 +105,7 @@ pub(crate) fn add_planes(
     residuals
 }
 
-/// Adds a row to all but the globals' block.
+/// Adds a row to all blocks except that of the globals.
 fn add_row(
     equations: &mut NormalEquations,
     frame_set: usize,
@@ -131,7 +133,7 @@ fn add_row(
     }
 }
 
-/// A correction that leaves less than this part of a difference in 1/z is none.
+/// The least gain. A correction with a smaller one flattens differences in 1/z, and is not valid.
 const LEAST_GAIN: f64 = 0.1;
 
 /// A tile of an observation.
@@ -143,8 +145,8 @@ struct WeightedTile<'a> {
     sensor: usize,
 }
 
-/// Answers false where the lens sees nothing, the plane is edge-on, or the correction flattens
-/// depth.
+/// Returns false where the lens cannot project the tile's pixel, the plane is edge-on, or the
+/// correction flattens depth.
 fn linearize_tile(
     at: LinearizationPoint<'_>,
     CorrectionColumns { correction, first }: CorrectionColumns<'_>,
@@ -197,13 +199,13 @@ fn linearize_tile(
     true
 }
 
-/// The ray (x, y, 1) of a tile's middle.
+/// The ray (x, y, 1) of a tile's center.
 pub(crate) fn ray(lens: &Lens, tile: &DepthTile) -> Option<Vector3<f64>> {
     let bearing = lens.bearing_from_pixel(tile.pixel)?;
     (bearing.z > 1e-3).then(|| bearing.into_inner() / bearing.z)
 }
 
-/// ∂(corrected 1/z)/∂(coefficient) for the coefficients that matter at a tile.
+/// ∂(corrected 1/z)/∂(coefficient) for the coefficients that affect a tile.
 pub(crate) fn correction_columns(
     correction: &DepthCorrection,
     tile: &DepthTile,
@@ -262,8 +264,8 @@ fn gain_by_terms(
     }
 }
 
-/// The pixel is fixed and the ray moves: ∂ray/∂parameters = −(∂pixel/∂ray)⁻¹ ∂pixel/∂parameters.
-/// Answers false where the lens does not see the ray.
+/// The columns of the lens. The pixel is fixed and the ray changes: ∂ray/∂parameters =
+/// −(∂pixel/∂ray)⁻¹ ∂pixel/∂parameters. Returns false where the lens cannot project the ray.
 fn add_lens_columns(
     at: LinearizationPoint<'_>,
     sensor: usize,

@@ -32,7 +32,7 @@ impl Given {
 }
 
 impl FreeLens {
-    /// What `options` leave free of a lens of `model`.
+    /// The parameters of a lens of `model` that `options` leave free, and the given ones.
     pub(crate) fn from_options(
         model: LensModel,
         options: &CameraOptions,
@@ -53,7 +53,7 @@ impl FreeLens {
             given.push((index, *value));
         }
         if options.square_pixels {
-            // The focal length that is given is both.
+            // With square pixels, one given focal length is both.
             for (one, other) in [(Lens::FX, Lens::FY), (Lens::FY, Lens::FX)] {
                 let value = given.iter().find(|(index, _)| *index == one).map(|(_, value)| *value);
                 if !given.iter().any(|(index, _)| *index == other) {
@@ -90,7 +90,7 @@ impl FreeLens {
         by_free
     }
 
-    /// Of a covariance of all parameters of the lens, that of the free ones.
+    /// The block of the free parameters in a covariance of all parameters of the lens.
     pub(crate) fn reduced(&self, covariance: &DMatrix<f64>) -> DMatrix<f64> {
         let size = self.free.len();
         DMatrix::from_fn(size, size, |i, j| covariance[(self.free[i], self.free[j])])

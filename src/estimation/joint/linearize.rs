@@ -1,7 +1,7 @@
-//! Residuals and their derivatives, one observation of the board at a time, squared into normal
-//! equations.
+//! Residuals and their derivatives, one observation of the board at a time, and their products in
+//! the normal equations.
 //!
-//! An observation's derivatives are kept as columns (one parameter each; all corners' x, then all
+//! An observation's derivatives are stored as columns (one parameter each; all corners' x, then all
 //! corners' y), so that every product of the normal equations is a dot product of two contiguous
 //! columns. Local columns: the lens's free parameters, the warp's two, the pose's six (rotation ω,
 //! translation τ in the sensor's frame), the residual.
@@ -31,13 +31,14 @@ impl LocalEquations {
     }
 }
 
-/// Room for one observation's columns, kept between observations.
+/// Buffers for one observation's columns, reused between observations.
 #[derive(Debug, Default)]
 pub(crate) struct Columns {
     /// Rotated points (without the translation), then points in the camera frame: x, y, z each.
     points: [Vec<f64>; 6],
     distorted: DistortedColumns,
-    /// The residuals in pixels, and √weight / std of each corner; 0 for an unused one.
+    /// The residuals in pixels, and √weight / std of each corner; the latter is 0 for an unused
+    /// corner.
     miss: [Vec<f64>; 2],
     factor: Vec<f64>,
     values: Vec<f64>,
@@ -51,7 +52,7 @@ impl Columns {
     }
 }
 
-/// Columns are padded with zeros to a multiple of this: the widest vectors there are.
+/// Columns are padded with zeros to a multiple of this, the width of the widest vectors.
 const LANES: usize = 8;
 
 /// Where observations are linearized.
@@ -59,7 +60,7 @@ const LANES: usize = 8;
 pub(crate) struct LinearizationPoint<'a> {
     /// Which parameters are free.
     pub(crate) layout: &'a Layout,
-    /// The values of all.
+    /// The values of all parameters.
     pub(crate) state: &'a State,
 }
 
@@ -71,7 +72,7 @@ pub(crate) struct LinearizedObservation<'a> {
     pub(crate) local: &'a mut LocalEquations,
 }
 
-/// Linearizes one observation. Answers false where a used corner cannot be projected.
+/// Linearizes one observation. Returns false where a used corner cannot be projected.
 pub(crate) fn linearize_observation(
     at: LinearizationPoint<'_>,
     observation: &BoardObservation,
@@ -82,7 +83,7 @@ pub(crate) fn linearize_observation(
     Arch::new().dispatch(Linearization { at, observation, loss, columns, into, multiplied: true })
 }
 
-/// As [`linearize_observation`], without the products of its columns: of the local equations only
+/// As [`linearize_observation`], without the products of its columns: in the local equations only
 /// the cost is set.
 pub(crate) fn differentiate_observation(
     at: LinearizationPoint<'_>,
@@ -100,14 +101,14 @@ struct Linearization<'a> {
     loss: Loss,
     columns: &'a mut Columns,
     into: LinearizedObservation<'a>,
-    /// Whether its columns are multiplied with each other.
+    /// Whether the products of the columns are computed too.
     multiplied: bool,
 }
 
 impl WithSimd for Linearization<'_> {
     type Output = bool;
 
-    /// The loops below are plain; compiled here they use the machine's widest vectors.
+    /// The loops below are plain: compiled in here, they use the machine's widest vectors.
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, simd: S) -> bool {
         self.transform();
@@ -126,7 +127,7 @@ impl WithSimd for Linearization<'_> {
 }
 
 impl Linearization<'_> {
-    /// The corners, rotated and moved into the sensor's frame; padded with points on the axis.
+    /// Transforms the corners to the sensor's frame, padded with points on the optical axis.
     #[inline(always)]
     fn transform(&mut self) {
         let sensor_from_board =
@@ -157,7 +158,7 @@ impl Linearization<'_> {
         }
     }
 
-    /// Residuals, weights and cost; false where a used corner is not projected.
+    /// Residuals, weights and cost; false where a used corner cannot be projected.
     #[inline(always)]
     fn weigh(&mut self) -> bool {
         let matrix = self.at.state.lenses[self.observation.sensor].matrix;
@@ -189,7 +190,7 @@ impl Linearization<'_> {
         all_seen && cost.is_finite()
     }
 
-    /// The weighted derivatives and residuals; answers how many columns there are.
+    /// The weighted derivatives and residuals; returns the number of columns.
     #[inline(always)]
     fn differentiate(&mut self) -> usize {
         let lens_layout = &self.at.layout.sensors[self.observation.sensor].lens;
@@ -266,8 +267,8 @@ fn fill_lens_column(
     };
 }
 
-/// The six columns of the pose: the translation is the pixel by the point, the rotation (rotated
-/// point) × that.
+/// The six columns of the pose: by translation ∂pixel/∂point, by rotation (rotated point) ×
+/// ∂pixel/∂point.
 #[inline(always)]
 fn fill_pose_columns(
     points: &[Vec<f64>; 6],

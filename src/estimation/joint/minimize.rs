@@ -12,11 +12,10 @@ use crate::estimation::robust::Loss;
 /// When to stop.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Stop {
-    /// Steps at most. Default: 50.
+    /// The largest number of steps. Default: 50.
     pub(crate) max_steps: usize,
-    /// The predicted decrease of the cost, in units of one residual's mean cost, below which there
-    /// is nothing left to gain: a decrease of d is √d standard deviations of the estimate. Default:
-    /// 1e-6.
+    /// Converged below this predicted decrease of the cost, in units of one residual's mean cost. A
+    /// decrease of d corresponds to √d standard deviations of the estimate. Default: 1e-6.
     pub(crate) decrease: f64,
     /// The same as a part of the whole cost. Default: 0.
     pub(crate) part: f64,
@@ -30,20 +29,20 @@ impl Default for Stop {
     }
 }
 
-/// A state with the normal equations there.
+/// A state with its normal equations.
 #[derive(Debug, Clone)]
 pub(crate) struct Minimum {
     pub(crate) state: State,
     pub(crate) equations: NormalEquations,
-    /// Linearizations, kept or not.
+    /// Number of linearizations, of accepted and rejected steps.
     pub(crate) steps: usize,
 }
 
-/// Residuals this small (in standard deviations) are rounding: the data is exact.
+/// Residuals this small, in standard deviations, are rounding: the data is exact.
 const EXACT: f64 = 1e-11;
 
 impl Minimum {
-    /// Where a walk from `start` begins. `None` where a used corner cannot be projected.
+    /// The start of an iteration. `None` where a used corner cannot be projected.
     pub(crate) fn start(
         layout: &Layout,
         start: State,
@@ -54,7 +53,7 @@ impl Minimum {
         Some(Self { state: start, equations, steps: 1 })
     }
 
-    /// Walks on to the nearest minimum.
+    /// Iterates to the nearest minimum.
     pub(crate) fn descend(
         self,
         layout: &Layout,
@@ -76,8 +75,8 @@ impl Minimum {
     }
 }
 
-/// Walks from a state, given with its normal equations, to the nearest minimum; answers the number
-/// of linearizations too.
+/// Iterates from a state, given with its normal equations, to the nearest minimum. The last value
+/// returned is the number of linearizations.
 pub(crate) fn walk<S>(
     (mut state, mut equations): (S, NormalEquations),
     residual_count: usize,

@@ -34,7 +34,7 @@ use crate::geometry::lens::Lens;
 use crate::geometry::pixel::Pixel;
 use crate::geometry::pose::Pose;
 
-/// What one sensor saw of the board at one frame set.
+/// One sensor's observation of the board at one frame set.
 #[derive(Debug, Clone)]
 pub(crate) struct BoardObservation {
     pub(crate) sensor: usize,
@@ -54,24 +54,24 @@ pub(crate) struct State {
     pub(crate) lenses: Vec<Lens>,
     pub(crate) sensor_from_rig: Vec<Pose>,
     pub(crate) rig_from_board: Vec<Pose>,
-    /// The board's bow along x and y, in meters at its middle.
+    /// The board's bow along x and y: the heights of its middle, in meters.
     pub(crate) warp: [f64; 2],
 }
 
-/// Where each global parameter lies: for each sensor its lens, for each but the first its pose;
-/// then the warp.
+/// The index of each global parameter: for each sensor those of its lens, for each but the first
+/// those of its pose; then the warp.
 #[derive(Debug, Clone)]
 pub(crate) struct Layout {
     pub(crate) sensors: Vec<SensorLayout>,
     /// `None` for a flat board.
     pub(crate) warp: Option<WarpLayout>,
-    /// How many global parameters there are.
+    /// Number of global parameters.
     pub(crate) len: usize,
-    /// Ends what iterates over it: there are no equations any more once it is requested.
+    /// Ends iterations early: once it is requested, linearization returns `None`.
     pub(crate) interrupt: Interrupt,
 }
 
-/// Where the two parameters of the board's warp lie, and over what it reaches.
+/// The index of the two parameters of the board's warp, and the extent that it refers to.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct WarpLayout {
     pub(crate) at: usize,
@@ -79,7 +79,7 @@ pub(crate) struct WarpLayout {
     pub(crate) half_extent_m: [f64; 2],
 }
 
-/// Where the parameters of one sensor lie.
+/// The indices of the parameters of one sensor.
 #[derive(Debug, Clone)]
 pub(crate) struct SensorLayout {
     pub(crate) lens: FreeLens,
@@ -110,7 +110,7 @@ impl Layout {
         Self { sensors, warp, len, interrupt: Interrupt::default() }
     }
 
-    /// Of sensors whose lenses and poses are known: only the board's poses are estimated.
+    /// The layout of sensors with known lenses and poses: only the board's poses are estimated.
     pub(crate) fn of_known_sensors(lenses: &[Lens]) -> Self {
         let known = |lens: &Lens| {
             let lens = FreeLens { model: lens.model(), free: Vec::new(), square_pixels: false };
@@ -120,12 +120,12 @@ impl Layout {
         Self { sensors, warp: None, len: 0, interrupt: Interrupt::default() }
     }
 
-    /// The same, which `interrupt` ends the iterations over.
+    /// The same layout, whose iterations `interrupt` ends.
     pub(crate) fn ended_by(self, interrupt: &Interrupt) -> Self {
         Self { interrupt: interrupt.clone(), ..self }
     }
 
-    /// How far a point of the board is moved off its plane per meter of each of the two bows: 1 −
+    /// The height of a point of the board above its plane per meter of each of the two bows: 1 −
     /// (x/half extent)², 0 at the edges (mrcal's model).
     pub(crate) fn bows(&self, point: &Point3<f64>) -> [f64; 2] {
         let Some(WarpLayout { half_extent_m: [half_x, half_y], .. }) = self.warp else {
@@ -145,14 +145,14 @@ impl State {
         }
     }
 
-    /// How far the warp moves a point of the board along the board's normal, in meters.
+    /// The offset of a point of the board along the board's normal by the warp, in meters.
     pub(crate) fn bow(&self, layout: &Layout, point: &Point3<f64>) -> f64 {
         let [by_x, by_y] = layout.bows(point);
         self.warp[0] * by_x + self.warp[1] * by_y
     }
 
-    /// (projected − observed) / std of each corner of an observation; infinite where nothing is
-    /// projected.
+    /// (projected − observed) / std of each corner of an observation; infinite where a corner
+    /// cannot be projected.
     pub(crate) fn residuals(
         &self,
         layout: &Layout,
@@ -175,8 +175,9 @@ impl State {
             .collect()
     }
 
-    /// The state after a step: `global` in the order of `layout`, `frame_sets` six numbers each.
-    /// `None` where a lens parameter leaves the finite numbers.
+    /// The state after a step: `global` in the order of `layout`, `frame_sets` with six numbers
+    /// each. `None` where a lens is no longer valid: a parameter is not finite, or a focal length
+    /// not positive.
     pub(crate) fn stepped(
         &self,
         layout: &Layout,

@@ -1,5 +1,5 @@
 //! The normal equations in block-arrow form: one dense block for the global parameters, one 6×6
-//! block per frame set, and what couples them. Frame sets are eliminated one by one (Schur
+//! block per frame set, and their coupling. Frame sets are eliminated one by one (Schur
 //! complement), so cost is linear in their number.
 
 use nalgebra::{DMatrix, DMatrixView, DVector, Matrix6};
@@ -25,9 +25,9 @@ pub(crate) struct NormalEquations {
     /// Per observation, per corner: (projected − observed) / std; infinite where nothing is
     /// projected.
     pub(crate) residuals: Vec<Vec<[f64; 2]>>,
-    /// Per plane, per tile, in standard deviations; infinite where the lens sees nothing.
+    /// Per plane, per tile, in standard deviations; infinite where a tile cannot be linearized.
     pub(crate) tile_residuals: Vec<Vec<f64>>,
-    /// Per observation, what it said by itself; empty where equations were put together otherwise.
+    /// The equations of each observation alone; empty where they were assembled in another way.
     pub(crate) local: Vec<LocalEquations>,
 }
 
@@ -46,8 +46,8 @@ pub(crate) struct Step {
     pub(crate) predicted_decrease: f64,
 }
 
-/// With at least so many global parameters, frame sets are eliminated by one product of matrices.
-/// Chosen, not swept: a single camera has fewer, a correction of depth has more.
+/// From this many global parameters on, frame sets are eliminated by one matrix product. Chosen,
+/// not swept: a single camera has fewer, a correction of depth has more.
 const LEAST_PRODUCT: usize = 32;
 
 /// The normal equations at `state`; `None` where a used corner cannot be projected, or
@@ -61,7 +61,7 @@ pub(crate) fn linearize(
     linearize_within(layout, state, observations, loss, &mut Columns::default())
 }
 
-/// As [`linearize()`], in room that is there already.
+/// As [`linearize()`], with buffers that are reused.
 pub(crate) fn linearize_within(
     layout: &Layout,
     state: &State,
@@ -94,7 +94,7 @@ pub(crate) fn linearize_within(
 }
 
 impl NormalEquations {
-    /// Those of nothing, for `global` global parameters and this many frame sets.
+    /// Equations without observations, for `global` global parameters and this many frame sets.
     pub(crate) fn empty(global: usize, frame_sets: usize) -> Self {
         Self {
             cost: 0.0,
@@ -108,14 +108,14 @@ impl NormalEquations {
         }
     }
 
-    /// The lower half of the global block from its upper one, which is all that [`Self::add`]
-    /// fills.
+    /// Copies the upper triangle of the global block, which is all that [`Self::add`] fills, to the
+    /// lower one.
     pub(crate) fn mirror(&mut self) {
         self.global.fill_lower_triangle_with_upper_triangle();
     }
 
-    /// Adds what `sensor` saw at `frame_set`, but for its cost; `chained` where the sensor has a
-    /// pose of its own.
+    /// Adds the equations of one observation, by `sensor` at `frame_set`, except for their cost;
+    /// `chained` where the sensor has a pose of its own.
     #[expect(clippy::needless_range_loop, reason = "indices of matrices")]
     pub(crate) fn add(
         &mut self,
@@ -180,7 +180,7 @@ impl NormalEquations {
         }
     }
 
-    /// How many frame sets have a corner.
+    /// Number of frame sets with an observation.
     pub(crate) fn seen_frame_sets(&self) -> usize {
         self.frame_sets.iter().filter(|block| block.hessian[0][0] > 0.0).count()
     }
@@ -240,7 +240,7 @@ impl NormalEquations {
         decrease.is_finite().then_some(step)
     }
 
-    /// Subtracts from the lower half of `schur` what the frame sets' poses account for: Σ hᵀh of
+    /// Eliminates the frame sets' poses from the lower triangle of `schur`: subtracts Σ hᵀh of
     /// `halves`, each L⁻¹ of a frame set's coupling.
     fn eliminate(&self, schur: &mut DMatrix<f64>, halves: &[[f64; 6]]) {
         let size = self.global_gradient.len();
@@ -274,13 +274,13 @@ impl NormalEquations {
             half.iter_mut().for_each(|row| *row = forward6(&factor, row));
         }
         self.eliminate(&mut schur, &halves);
-        // In units of each parameter's strength with the poses known: the reduced one may be 0.
+        // Scaled by the diagonal before the poses are eliminated: after it, an entry may be 0.
         let unit = DVector::from_fn(size, |i, _| 1.0 / self.global[(i, i)].sqrt());
         let covariance = ScaledFactor::in_units(&schur, unit)?.inverse();
         covariance.iter().all(|v| v.is_finite()).then_some(covariance)
     }
 
-    /// What one frame set says by itself, where these are the equations of that frame set.
+    /// The information of one frame set alone, where these are the equations of that frame set.
     pub(crate) fn reduced(&self, frame_set: usize) -> Option<ReducedView> {
         let size = self.global_gradient.len();
         let block = &self.frame_sets[frame_set];
@@ -329,7 +329,7 @@ impl NormalEquations {
     }
 }
 
-/// What one view by itself says of the parameters that all share, its pose eliminated.
+/// The equations of one view alone for the shared parameters, its pose eliminated.
 #[derive(Debug, Clone)]
 pub(crate) struct ReducedView {
     /// Its part of the Schur complement, the inverse of a covariance for unit noise.
@@ -338,12 +338,13 @@ pub(crate) struct ReducedView {
     pub(crate) gradient: DVector<f64>,
 }
 
-/// How a sensor that is not the rig's own frame sees a step of the board's pose, and of its own:
-/// δ_sensor_from_board = A δ_sensor_from_rig + B δ_rig_from_board.
+/// The derivative of the board's pose in the frame of a sensor other than the rig's own, by steps
+/// of that sensor's pose and of the board's: δ_sensor_from_board = A δ_sensor_from_rig + B
+/// δ_rig_from_board.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ChainedPose {
-    /// Where δ_sensor_from_rig lies among the global parameters; `None` where it is held, and of a
-    /// sensor that the layout does not fit.
+    /// The index of δ_sensor_from_rig among the global parameters; `None` where that pose is fixed,
+    /// or the layout does not contain the sensor.
     pub(crate) pose_at: Option<usize>,
     /// A.
     pub(crate) by_sensor: Matrix6<f64>,
@@ -364,7 +365,7 @@ impl ChainedPose {
         Self { pose_at, by_sensor, by_board }
     }
 
-    /// That of an observation by a sensor whose pose is estimated; `None` for others.
+    /// For an observation by a sensor whose pose is estimated; `None` for others.
     pub(crate) fn where_posed(
         layout: &Layout,
         state: &State,
@@ -388,8 +389,8 @@ fn is_zero(matrix: &[[f64; 6]; 6]) -> bool {
     matrix.iter().flatten().all(|v| *v == 0.0)
 }
 
-/// L of L Lᵀ = A + λ diag A, with the reciprocals of its diagonal in place of the diagonal. A
-/// frame set that nothing sees (A = 0) gets an L that solves to 0.
+/// L of L Lᵀ = A + λ diag A, with the reciprocals of its diagonal in place of the diagonal. For a
+/// frame set without observations (A = 0), L is such that every solution is 0.
 fn cholesky6(matrix: &[[f64; 6]; 6], lambda: f64) -> Option<[[f64; 6]; 6]> {
     let mut factor = [[0.0; 6]; 6];
     if is_zero(matrix) {

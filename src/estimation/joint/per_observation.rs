@@ -1,5 +1,5 @@
 //! The normal equations of each observation separately at one state, so that those of any subset
-//! can be assembled without another pass over its corners.
+//! can be assembled without another pass over the corners.
 
 use crate::estimation::joint::BoardObservation;
 use crate::estimation::joint::linearize::{
@@ -8,8 +8,9 @@ use crate::estimation::joint::linearize::{
 use crate::estimation::joint::normal::{ChainedPose, NormalEquations};
 use crate::estimation::robust::Loss;
 
-/// Linearizes the observations in `which`, with plain squares: one entry per observation, empty for
-/// the others. `None` where a used corner cannot be projected.
+/// Linearizes the observations in `which`, without a robust loss. The result has one entry per
+/// observation, empty for the others. `None` where a used corner cannot be projected, or an
+/// interrupt was requested.
 pub(crate) fn linearize_each(
     at: LinearizationPoint<'_>,
     observations: &[BoardObservation],
@@ -35,9 +36,9 @@ pub(crate) fn linearize_each(
     Some(local_equations)
 }
 
-/// The normal equations of some of the observations, without residuals: `parts` are pairs of an
-/// observation's index in `local_equations` and of the frame set, counted from 0 to below
-/// `frame_sets`, that it is assembled as.
+/// The normal equations of some of the observations, without residuals. `parts` are pairs of an
+/// observation's index in `local_equations` and of its frame set in the assembled equations, less
+/// than `frame_sets`.
 pub(crate) fn assemble(
     local_equations: &[LocalEquations],
     at: LinearizationPoint<'_>,
