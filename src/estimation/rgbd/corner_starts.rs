@@ -1,17 +1,17 @@
-//! The corners' fit from more than one start, where the first may have ended elsewhere.
+//! The corners' fit from more than one start, since the first may end in another minimum.
 
 use crate::estimation::rgbd::corners::CornerBlocks;
 use crate::estimation::rgbd::problem::RgbdProblem;
 
-/// Two fits are of one minimum where the variance of the sensors' pose differs by less than this
-/// factor. From 10 to 100 seeded boards that move and few frontal ones are answered the same; 5
-/// takes a board that was carried about for one at rest, 300 leaves some of the latter elsewhere.
+/// Two fits are of one minimum where the variances of the sensors' pose differ by less than this
+/// factor. Seeded boards that move, and few frontal ones, have the same results from 10 to 100; 5
+/// takes a moving board for one at rest, 300 leaves some boards at rest in another minimum.
 const SAME_MINIMUM: f64 = 30.0;
 
-/// Two ways where the board's motion is known: each board moved on to when infrared was taken,
-/// or taken as it was for views in which it stood still, the others left out. The one that
-/// knows the sensors' pose better is right: velocities can be wrong where frames are rare,
-/// and hardly a view may be still.
+/// Where the board's motion is known, the better of two fits: with each board moved on to when
+/// infrared was taken, and with each board as color saw it, which leaves out the views in which it
+/// moved. The fit with the smaller variance of the sensors' pose is returned, because velocities
+/// can be wrong where frames are rare, and there may be hardly a view without motion.
 pub(super) fn fit_corners(problem: &RgbdProblem) -> Option<CornerBlocks> {
     let as_taken = fit_from_both(&RgbdProblem { time_offset: None, ..problem.clone() });
     let Some(offset) = problem.time_offset else { return as_taken };
@@ -25,9 +25,9 @@ pub(super) fn fit_corners(problem: &RgbdProblem) -> Option<CornerBlocks> {
     Some(still)
 }
 
-/// Few frontal boards leave infrared's own lens open by far: its boards are then not where color
-/// has them, and a fit that starts by taking that for their motion may end with it. Where a fit
-/// has such motion, one that starts without is tried.
+/// With few frontal boards, infrared's own lens is poorly determined, and its board poses differ
+/// from color's. A fit that starts by attributing this to motion of the boards may end there. So
+/// where a fit ends with such motion, a start without motion is tried too.
 fn fit_from_both(problem: &RgbdProblem) -> Option<CornerBlocks> {
     let each_moved = CornerBlocks::fit_from(problem, false);
     if each_moved.as_ref().is_some_and(|corners| corners.found_still) {
@@ -43,7 +43,8 @@ fn fit_from_both(problem: &RgbdProblem) -> Option<CornerBlocks> {
     if together.as_ref().is_some_and(is_better) { together } else { each_moved }
 }
 
-/// How uncertain the sensors' pose is: the variance of where a point 1 m away is, in m².
+/// The uncertainty of the sensors' pose: about the variance of the position of a point 1 m away, in
+/// m².
 fn unsure_m2(corners: &CornerBlocks) -> f64 {
     let at = corners.layout.sensors.get(1).and_then(|sensor| sensor.pose_at);
     at.map_or(0.0, |at| (at..at + 6).map(|k| corners.covariance[(k, k)]).sum())

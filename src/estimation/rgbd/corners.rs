@@ -21,35 +21,35 @@ use crate::estimation::robust::Loss;
 use crate::geometry::median::median;
 use crate::geometry::pose::Pose;
 
-/// The answer of the corners: sensor 0 is color and the rig, sensor 1 infrared and depth.
+/// The estimate from corners: sensor 0 is color and the rig's frame, sensor 1 infrared and depth.
 pub(super) struct CornerBlocks {
     pub(super) layout: Layout,
     pub(super) state: State,
-    /// The same with each board where it was when infrared and depth were taken.
+    /// The same state, with each board at its pose when infrared and depth were taken.
     pub(super) depth_state: State,
     pub(super) equations: NormalEquations,
     pub(super) covariance: DMatrix<f64>,
-    /// What points are counted from, in the board frame.
+    /// The origin of the points, in the board frame.
     pub(super) center: Vector3<f64>,
     /// By how much infrared and depth are later, where the views determine it.
     pub(super) time_offset: Option<TimeOffset>,
-    /// Views whose infrared image was taken at another time than even this says.
+    /// Views whose infrared image does not fit color's even with the time offset.
     pub(super) separate_in_time: Vec<usize>,
     /// No board moved between color and infrared.
     pub(super) found_still: bool,
-    /// That of color's lens by color alone.
+    /// The covariance of color's lens from color alone.
     color_covariance: Option<DMatrix<f64>>,
 }
 
-/// The length of an inlier's residual at most, in standard deviations per axis: of normal ones four
-/// in a million are longer.
+/// The largest residual of an inlier, in standard deviations per axis: of normal residuals, four in
+/// a million are larger.
 const CORNER_LIMIT_STDS: f64 = 5.0;
 
-/// χ² of six degrees of freedom between color's and infrared's board above which the images were
-/// taken at different times: chance gives more three times in a million.
+/// χ² of six degrees of freedom between color's and infrared's board pose, above which the images
+/// were taken at different times: chance exceeds it three times in a million.
 const VIEW_LIMIT_CHI2: f64 = 36.0;
 
-/// Most rounds of estimating noise, pose jitter and inliers anew.
+/// The largest number of rounds in which noise, pose jitter and inliers are estimated.
 const ROUNDS: usize = 10;
 
 /// Everything that is estimated.
@@ -60,23 +60,24 @@ struct CornerState {
     offset_s: f64,
 }
 
-/// What is fixed while the rest is estimated.
+/// What is fixed during one fit.
 struct CornerProblem {
     layout: Layout,
     observations: Vec<BoardObservation>,
-    /// Each frame set's, about the rig's axes and with the velocity of the board's center.
+    /// The motion at each frame set, about the rig's axes and with the velocity of the board's
+    /// center.
     motions: Vec<Option<BoardMotion>>,
-    /// What was known of the time before, and the parameter that it is.
+    /// The time offset's index among the global parameters, and its prior.
     offset: Option<(usize, TimeOffset)>,
     pose_jitter: PoseJitter,
-    /// How well infrared agrees with color, in standard deviations of its own corners; at least 1.
+    /// The noise of infrared corners, relative to their own standard deviations; at least 1.
     noise: f64,
 }
 
 impl CornerBlocks {
-    /// The fit from where sensors were calibrated one by one. The board's motion between color and
-    /// infrared starts at what the views' poses have in the middle; or, where `together`, at none:
-    /// infrared's lens is then fitted to the boards where color has them.
+    /// The fit, starting from sensors that were calibrated one by one. The pose jitter between
+    /// color and infrared starts at the median over the views; or, where `together`, at none, so
+    /// that infrared's lens is fitted to the boards at their poses by color.
     pub(super) fn fit_from(problem: &RgbdProblem, together: bool) -> Option<Self> {
         let center = middle_of_corners(problem);
         let start = CornerState::of(problem, &center);
@@ -113,7 +114,7 @@ impl CornerBlocks {
         })
     }
 
-    /// Where each board had moved to, in its own frame, when depth was taken.
+    /// The pose of each board when depth was taken, in its own earlier frame.
     pub(super) fn board_from_later(&self) -> Vec<Pose> {
         let uncentered = |rig_from_board: &Pose| with_origin_at(rig_from_board, &-self.center);
         let each = self.state.rig_from_board.iter().zip(&self.depth_state.rig_from_board);
@@ -139,7 +140,7 @@ fn middle_of_corners(problem: &RgbdProblem) -> Vector3<f64> {
 }
 
 impl CornerState {
-    /// What sensors that were calibrated one by one have, boards about `center`.
+    /// The state of sensors that were calibrated one by one, with boards about `center`.
     fn of(problem: &RgbdProblem, center: &Vector3<f64>) -> Self {
         let board = |view: &RgbdView| with_origin_at(&view.color_from_board, center);
         let rig = State {
@@ -199,7 +200,7 @@ impl CornerProblem {
         })
     }
 
-    /// The state that fits best; noise, pose jitter and inliers are estimated anew after each fit.
+    /// The best state; noise, pose jitter and inliers are estimated again after each fit.
     fn settle(&mut self, start: CornerState) -> Option<CornerState> {
         let mut whole = start;
         for _ in 0..ROUNDS {
@@ -216,14 +217,14 @@ impl CornerProblem {
         Some(whole)
     }
 
-    /// Of all global parameters, with how views differ in them.
+    /// The covariance of all global parameters, including the scatter between views.
     fn covariance(&self, whole: &CornerState, equations: &NormalEquations) -> Option<DMatrix<f64>> {
         let views: Option<Vec<ReducedView>> =
             self.seen_frame_sets().into_iter().map(|k| self.part(whole, k)).collect();
         Some(FitCovariance::of_views(equations.global_covariance()?, 1.0, &views?).all())
     }
 
-    /// Each board where it was when infrared was taken, as far as its motion says.
+    /// The state with each board at its pose when infrared was taken, by its known motion.
     fn later(&self, whole: &CornerState) -> State {
         let mut later = whole.rig.clone();
         for (pose, motion) in later.rig_from_board.iter_mut().zip(&self.motions) {
@@ -257,7 +258,7 @@ impl CornerProblem {
         used.map(|observation| observation.frame_set).collect()
     }
 
-    /// What a frame set says by itself.
+    /// The equations of one frame set alone, its pose eliminated.
     fn part(&self, whole: &CornerState, frame_set: usize) -> Option<ReducedView> {
         let own = self.observations.iter().filter(|observation| observation.frame_set == frame_set);
         self.equations(whole, own)?.reduced(frame_set)
@@ -313,7 +314,8 @@ impl CornerProblem {
         linearize_observation(at, observation, Loss::Squares, columns, into).then_some(())
     }
 
-    /// The time offset's part of an infrared image's equations: it moves the board by its motion.
+    /// Adds the time offset's part of an infrared image's equations: the offset moves the board
+    /// along its motion.
     fn add_offset(
         &self,
         equations: &mut NormalEquations,
@@ -352,8 +354,8 @@ impl CornerProblem {
         Some(CornerState { rig, offset_s })
     }
 
-    /// Infrared's board pose against color's in each of its observations; `None` where color saw
-    /// nothing, or the observation cannot be linearized.
+    /// Infrared's board pose against color's in each infrared observation; `None` where color did
+    /// not see the board, or the observation cannot be linearized.
     fn differences(&self, whole: &CornerState) -> Vec<Option<PoseDifference>> {
         let later = self.later(whole);
         let (mut columns, mut local) = (Columns::default(), LocalEquations::default());
@@ -461,8 +463,8 @@ impl CornerProblem {
         settled || self.layout.sensors.len() == 1
     }
 
-    /// Each board where infrared saw it: by its motion and its pose jitter, or by infrared alone
-    /// where that was taken at another time.
+    /// The state with each board at its pose by infrared: by its motion and its pose jitter, or by
+    /// infrared alone where that image was taken at another time.
     fn at_depth(&self, whole: &CornerState) -> State {
         let mut later = self.later(whole);
         for (observation, difference) in self.observations.iter().zip(self.differences(whole)) {

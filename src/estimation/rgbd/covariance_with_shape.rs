@@ -1,13 +1,14 @@
-//! The covariance of what corners say, on a board whose shape color measured.
+//! The covariance of the corners' estimate where color's solve estimated the board's shape too.
 
 use nalgebra::DMatrix;
 
 use crate::estimation::joint::SensorLayout;
 use crate::estimation::shape_widening::widening;
 
-/// `covariance`, of all parameters on a board of known shape, widened by what is not known of the
-/// shape: of color's lens it is `by_itself`, which counts that. The other sensors see the same
-/// board, and their variances are wider by the mean factor of color's.
+/// `covariance`, of all parameters with the board's shape known, widened by the uncertainty of the
+/// shape. `by_itself` is the covariance of color's lens that includes this uncertainty. With color
+/// alone it is the result. The other sensors see the same board, so with them all variances are
+/// multiplied by the mean factor between the two covariances of color's lens.
 pub(super) fn covariance_with_shape(
     sensors: &[SensorLayout],
     covariance: DMatrix<f64>,

@@ -1,5 +1,5 @@
-//! What is known of a depth camera's lens before any plane: few boards, or boards that are held
-//! alike, leave some of it open, and the fit would otherwise run away along that.
+//! The prior of a depth camera's lens. Few boards, or boards in similar poses, do not determine all
+//! of it, and without a prior the fit would diverge in the undetermined directions.
 
 use crate::estimation::joint::normal::NormalEquations;
 use crate::geometry::lens::Lens;
@@ -10,18 +10,19 @@ pub const LENS_PARAMETERS: usize = 4;
 
 /// Standard deviation of ln(fx / fy): depth images have square pixels. Two published calibrations
 /// of one Kinect by planes have −0.012 and 0.004 (D. Herrera C., J. Kannala, J. Heikkilä, PAMI
-/// 2012). Of that Kinect's views any value from 0.01 to 0.03 moves no number of eighteen by a tenth
-/// of its deviation, and keeps the lens of seven from running away, which it does from 0.1 on; at
-/// 0.003 the lens of mirrored images passes for one.
+/// 2012). With eighteen of that Kinect's views, any value from 0.01 to 0.03 changes no result by a
+/// tenth of its standard deviation, and with seven it keeps the lens from diverging, which it does
+/// from 0.1 on. At 0.003 the lens of mirrored images is accepted.
 const ASPECT_STD: f64 = 0.01;
 
-/// Standard deviation of the principal point about the image's center, in widths of the image: more
-/// than that of a lens on a sensor, since some depth images are a part of their sensor's.
+/// Standard deviation of the principal point about the image's center, in widths of the image. It
+/// is larger than a lens's offset from its sensor, since some depth images are cropped.
 const CENTER_STD_WIDTHS: f64 = 0.05;
 
-/// A lens further from the prior than this, in its standard deviations, is no depth camera's: a
-/// principal point a quarter of the width off center, or pixels one by 1.05 wide. Of those views
-/// the lenses lie within 1, that of their mirrored images at 9: any limit between holds.
+/// A lens further from the prior than this, in standard deviations of the prior, is not that of a
+/// depth camera: a principal point a quarter of the width off center, or pixels one by 1.05 wide.
+/// The lenses from those views lie within 1, that of their mirrored images at 9, so any limit
+/// between separates them.
 const IMPLAUSIBLE: f64 = 5.0;
 
 /// A residual of the prior in standard deviations, with its derivatives by the focal lengths and
@@ -47,7 +48,7 @@ fn rows(lens: &Lens, size: ImageSize) -> [PriorRow; 3] {
     ]
 }
 
-/// Whether a depth camera can have this lens, in images of this size.
+/// Whether this lens is plausible for a depth camera with images of this size.
 ///
 /// ```
 /// use plumb::estimation::rgbd::device_prior::is_plausible;

@@ -8,12 +8,13 @@ use crate::estimation::rgbd::problem::{DepthLens, RgbdEstimate, RgbdProblem};
 use crate::estimation::split_halves::{LensDifference, MIN_FRAME_SETS, PoseBetweenHalves};
 use crate::geometry::pixel::ImageSize;
 
-/// Two halves of the views and what each gives.
+/// Two halves of the views, and the estimate from each.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RgbdHalves {
-    /// The views of each, by their index in the problem: those with color and depth of one moment.
+    /// The views of each, by index in the problem: only views whose color and depth were taken
+    /// together.
     pub views: [Vec<usize>; 2],
-    /// What each gives; `None` where its views are too few.
+    /// The estimate from each; `None` where its views are too few.
     pub estimates: [Option<RgbdEstimate>; 2],
 }
 
@@ -24,12 +25,12 @@ pub struct RgbdDifference {
     pub color: LensDifference,
     /// In the lens of infrared and depth, where it is estimated.
     pub depth: Option<LensDifference>,
-    /// In where depth is.
+    /// In depth's pose.
     pub color_from_depth: Option<PoseBetweenHalves>,
 }
 
 impl RgbdHalves {
-    /// Of the views of `problem` that `estimate` found to be of one moment.
+    /// From the views of `problem` whose images were taken together, according to `estimate`.
     pub fn of(problem: &RgbdProblem, estimate: &RgbdEstimate) -> Self {
         let usable = |index: &usize| {
             let view = &problem.views[*index];
@@ -37,20 +38,20 @@ impl RgbdHalves {
             together && !view.color.is_empty() && !view.tiles.is_empty()
         };
         let mut all: Vec<usize> = (0..problem.views.len()).filter(usable).collect();
-        // Views with infrared are dealt to both halves alike.
+        // Views with infrared come first, so that both halves have as many of them.
         all.sort_by_key(|index| problem.views[*index].infrared.is_empty());
         let views = [0, 1].map(|half| all.iter().copied().skip(half).step_by(2).collect());
         let estimates = [0, 1].map(|half: usize| {
             let of_half: &Vec<usize> = &views[half];
             let views = of_half.iter().map(|index| problem.views[*index].clone()).collect();
-            // What color alone knows it knows from all views.
+            // The covariance by color alone is that of all views, so it does not hold for a half.
             let half = RgbdProblem { views, color_covariance: None, ..problem.clone() };
             calibrate_rgbd(&half).ok()
         });
         Self { views, estimates }
     }
 
-    /// How far they differ. `None` with fewer than six views, or where a half has no answer.
+    /// The difference. `None` with fewer than six views, or where a half has no estimate.
     pub fn difference(
         &self,
         problem: &RgbdProblem,
@@ -87,7 +88,7 @@ impl RgbdHalves {
 }
 
 impl RgbdDifference {
-    /// The same without what concerns depth.
+    /// The same without depth's lens and pose.
     pub fn of_color_alone(self) -> Self {
         Self { depth: None, color_from_depth: None, ..self }
     }

@@ -1,12 +1,12 @@
-//! Color, infrared and depth as one instrument: lenses, where the sensors are, and the depth
-//! camera's systematic error, with the covariance of what follows from it.
+//! Color, infrared and depth as one device: lenses, the sensors' relative pose, and the depth
+//! camera's systematic error, with their covariance.
 //!
 //! Corners and planes are not weighted against each other: a depth camera's unknown systematic
-//! error is as large as what its planes could add to corners, and would bias the lenses. So corners
-//! (color, and infrared where it sees the board) come first and determine lenses, board poses and
-//! the sensors' relative pose; planes then determine the rest: the correction, and for a camera
-//! without an infrared image its lens and pose. The covariance of the corners' estimate is carried
-//! into the planes'.
+//! error is as large as the information that its planes could add to corners, and would bias the
+//! lenses. So corners (color, and infrared where it sees the board) come first and determine
+//! lenses, board poses and the sensors' relative pose. Planes then determine the rest: the
+//! correction, and for a camera without an infrared image its lens and pose. The covariance of the
+//! corners' estimate is propagated to the planes'.
 //!
 //! Depth is measured by the infrared camera where there is one: they share lens and pose.
 
@@ -34,13 +34,13 @@ use crate::geometry::depth_camera::PosedDepthLens;
 use crate::geometry::depth_correction::{CorrectedQuantity, DepthCorrection, SplineGrid};
 use crate::geometry::pose::Pose;
 
-/// While the correction is a scale and an offset alone, before its form is chosen: each may change
-/// 1/z by half of it (1 sigma) at the middle of the depths seen, more than the forms that are
-/// compared may, so that a wrong scale is found first. The curvature, which nothing but a grid has,
-/// is the first of those that are compared.
+/// For the correction of scale and offset that is fitted before its form is chosen. Each may change
+/// 1/z by half of it (1 sigma) at the middle of the depths seen. That is more than the forms that
+/// are compared may, so that a wrong scale is found first. The curvature, which only a grid has, is
+/// the first of those that are compared.
 pub(crate) const BASE_SMOOTHNESS: Smoothness = Smoothness { amplitude: 0.5, curvature: 0.01 };
 
-/// Color, infrared and depth fitted together, without what follows for their covariance.
+/// Color, infrared and depth fitted together, before their covariance is computed.
 pub(crate) struct RgbdFit<'a> {
     problem: &'a RgbdProblem,
     corners: CornerBlocks,
@@ -50,8 +50,8 @@ pub(crate) struct RgbdFit<'a> {
 
 impl<'a> RgbdFit<'a> {
     /// # Errors
-    /// [`EstimationError`] where views are too few or leave a lens or the sensors' pose open, and
-    /// [`EstimationError::Interrupted`] once `problem.interrupt` was requested.
+    /// [`EstimationError`] where views are too few or do not determine a lens or the sensors' pose,
+    /// and [`EstimationError::Interrupted`] once `problem.interrupt` was requested.
     pub(crate) fn of(problem: &'a RgbdProblem) -> Result<Self, EstimationError> {
         let with_depth = problem.views.iter().filter(|view| !view.tiles.is_empty()).count();
         if with_depth < 3 {
@@ -77,12 +77,12 @@ impl<'a> RgbdFit<'a> {
     /// The fit with its covariance.
     ///
     /// # Errors
-    /// [`EstimationError::NoFit`] where views leave a lens or the sensors' pose open, and
+    /// [`EstimationError::NoFit`] where views do not determine a lens or the sensors' pose, and
     /// [`EstimationError::Interrupted`] once `problem.interrupt` was requested.
     pub(crate) fn estimate(self) -> Result<RgbdEstimate, EstimationError> {
         let Self { problem, corners, planes, correction: FittedCorrection { fit, tried } } = self;
-        // Where the form of the correction decides, and not the views, the difference is part of
-        // what is not known.
+        // Where lens and pose depend on the form of the correction, the difference between two
+        // forms is part of their uncertainty.
         let other = match problem.depth_lens {
             DepthLens::Infrared => None,
             DepthLens::FromPlanes | DepthLens::Known => fit.other_form().and_then(|form| {
@@ -99,19 +99,20 @@ impl<'a> RgbdFit<'a> {
 /// Calibrates color and depth.
 ///
 /// # Errors
-/// [`EstimationError`] where views are too few or leave a lens or the sensors' pose open, and
+/// [`EstimationError`] where views are too few or do not determine a lens or the sensors' pose, and
 /// [`EstimationError::Interrupted`] once `problem.interrupt` was requested.
 pub fn calibrate_rgbd(problem: &RgbdProblem) -> Result<RgbdEstimate, EstimationError> {
     RgbdFit::of(problem)?.estimate()
 }
 
-/// Why there is no fit: nobody waits for one any more, or none was found.
+/// Why there is no fit: an interrupt was requested, or none was found.
 fn no_fit(problem: &RgbdProblem) -> EstimationError {
     problem.interrupt.check().err().unwrap_or(EstimationError::NoFit)
 }
 
-/// Depth of `estimate` anew, for a device whose color and infrared were solved with others':
-/// lenses, poses and boards are theirs, and planes determine the correction.
+/// Fits the depth of `estimate` again, for a device whose color and infrared were solved together
+/// with other devices: lenses, poses and boards are those of that solve, and planes determine the
+/// correction.
 ///
 /// # Errors
 /// [`EstimationError::NoFit`] where no correction fits, [`EstimationError::Interrupted`] once
@@ -135,7 +136,7 @@ pub fn recalibrate_depth(
     Ok(RgbdEstimate { color_from_board, ..planes.refitted(estimate, &fit, tried) })
 }
 
-/// The planes' fit with the correction that is best on views that were not fitted to.
+/// The planes' fit with the correction that predicts left-out views best.
 struct FittedCorrection {
     fit: Fit,
     /// The corrections that were compared in the last round.
@@ -149,8 +150,8 @@ fn fit_correction(
 ) -> Result<FittedCorrection, EstimationError> {
     let size = problem.depth.image_size;
     let quantity = problem.corrected.first().copied().unwrap_or(CorrectedQuantity::InverseDepth);
-    // A constant scale and offset first, so that a wrong unit moves neither the depth camera's lens
-    // nor its pose.
+    // A constant scale and offset come first, so that a wrong unit affects neither the depth
+    // camera's lens nor its pose.
     let terms = if problem.corrected.is_empty() { 0 } else { 2 };
     let base = DepthCorrection::none(quantity, terms, SplineGrid::constant(size), planes.seen_m());
     let rounds = if problem.depth_lens == DepthLens::Infrared { 1 } else { 2 };

@@ -1,12 +1,12 @@
 //! The board's motion from poses in time order, and by how much a second sensor takes its images
 //! later than the first.
 //!
-//! With u the board's velocity (angular and linear) in the second sensor's frame when the first
-//! takes its image, and T the sensors' pose, an image that is taken by δ later shows the board
-//! at T · first_from_board moved by δ · u. Both δ and what T is off by are linear in how far that
-//! is from where the second sensor sees the board. Velocities come from cubic splines through the
-//! first sensor's poses: their slope follows motion up to the rate of the frames, where differences
-//! of neighbors flatten it.
+//! Let u be the board's velocity (angular and linear) in the second sensor's frame when the first
+//! takes its image, and T the sensors' relative pose. An image that the second sensor takes δ later
+//! then shows the board at T · first_from_board, moved by δ · u. The difference between this pose
+//! and the observed one is linear in δ and in the error of T. Velocities are the slopes of cubic
+//! splines through the first sensor's poses: they follow motion up to the frame rate, where finite
+//! differences of neighbors would flatten it.
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3, Vector6};
 
@@ -14,12 +14,12 @@ use crate::estimation::joint::moved;
 use crate::geometry::median::median;
 use crate::geometry::pose::{Pose, pose_step};
 
-/// Where a board was, and when.
+/// The pose of a board at a time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TimedPose {
-    /// When, in seconds from an arbitrary origin.
+    /// The time, in seconds from an arbitrary origin.
     pub time_s: f64,
-    /// Where.
+    /// The pose.
     pub camera_from_board: Pose,
 }
 
@@ -39,12 +39,13 @@ pub struct TimeOffset {
     pub seconds: f64,
     /// Its standard deviation, in seconds.
     pub std_s: f64,
-    /// Standard deviation of a single image's, with what velocities are off by, in seconds.
+    /// Standard deviation of a single image's offset, in seconds; includes the effect of errors in
+    /// velocity.
     pub jitter_s: f64,
 }
 
-/// Poses further from each other in time than this many times the median distance are not one
-/// motion.
+/// Poses further separated in time than this many times the median interval belong to different
+/// motions.
 const GAP: f64 = 2.5;
 
 /// The longest time between poses that determine a velocity, in seconds.
@@ -75,27 +76,28 @@ fn gaps_s(moments: &[TimedPose]) -> Vec<f64> {
     moments.windows(2).map(|pair| pair[1].time_s - pair[0].time_s).collect()
 }
 
-/// The longest of these times between frames, in seconds, over which two frames are one motion.
+/// The longest interval between two frames of one motion, in seconds, given all `gaps`.
 fn longest_gap_s(gaps: &[f64]) -> Option<f64> {
     let median_gap = median(gaps.iter().copied().filter(|gap| *gap > 0.0).collect())?;
     Some((GAP * median_gap).min(LONGEST_S))
 }
 
-/// A board in a frame, and where it may have moved to shortly after.
+/// A board in a frame, and its possible poses shortly after.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MovingBoard {
-    /// Where it was in the frame.
+    /// Its pose in the frame.
     pub camera_from_board: Pose,
-    /// Where it was later, by the mean of `steps`.
+    /// Its pose later, by the mean of `steps`.
     pub camera_from_later: Pose,
-    /// Its motion until then, if it moved on as since the frame before, and as to the frame after:
-    /// a rotation about the camera's axes in radians, and a translation of its origin in meters.
+    /// Two extrapolations of its motion until then, from the frame before and to the frame after:
+    /// each a rotation about the camera's axes in radians, then a translation of its origin in
+    /// meters.
     pub steps: [Vector6<f64>; 2],
 }
 
-/// Where the board may have moved to `later_s` seconds after each of `moments`, whose times rise.
-/// Without a frame before or after that is one motion with it, a board is taken to have stood still
-/// there.
+/// The board's possible poses `later_s` seconds after each of `moments`, which are in time order.
+/// Where there is no frame before or after in the same motion, a board is assumed to have stood
+/// still on that side.
 pub fn boards_after(moments: &[TimedPose], later_s: f64) -> Vec<MovingBoard> {
     let gaps = gaps_s(moments);
     let longest_s = longest_gap_s(&gaps).unwrap_or(0.0);
@@ -136,8 +138,8 @@ fn spline_motions(moments: &[TimedPose], motions: &mut [Option<BoardMotion>]) {
     for index in 1..moments.len() - 1 {
         let by_time = Matrix3::from_fn(|i, j| slopes[3 * i + j][index]);
         let rotation = moments[index].camera_from_board.rotation_matrix();
-        // Ṙ Rᵀ is the matrix of the cross product with the rotation, but for the spline's own small
-        // errors.
+        // Ṙ Rᵀ is the cross-product matrix of the angular velocity, except for small errors of the
+        // spline.
         let spin = by_time * rotation.transpose();
         motions[index] = Some(BoardMotion {
             angular_velocity: Vector3::new(
@@ -150,12 +152,12 @@ fn spline_motions(moments: &[TimedPose], motions: &mut [Option<BoardMotion>]) {
     }
 }
 
-/// The slopes at its nodes of the natural cubic spline through `values` at `times`, which rise.
+/// The slopes at the nodes of the natural cubic spline through `values` at increasing `times`.
 fn slopes(times: &[f64], values: &[f64]) -> Vec<f64> {
     let count = times.len();
     let step = |k: usize| times[k + 1] - times[k];
     let rise = |k: usize| (values[k + 1] - values[k]) / step(k);
-    // Second derivatives by the tridiagonal system, forwards and back.
+    // Second derivatives by the tridiagonal system: forward elimination, back substitution.
     let (mut factor, mut second) = (vec![0.0; count], vec![0.0; count]);
     for k in 1..count - 1 {
         let pivot = 2.0 * (step(k - 1) + step(k)) - step(k - 1) * factor[k - 1];
@@ -172,44 +174,44 @@ fn slopes(times: &[f64], values: &[f64]) -> Vec<f64> {
     (0..count).map(slope).collect()
 }
 
-/// One moment in which both sensors saw the board.
+/// One frame set in which both sensors saw the board.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SeenByBoth {
-    /// Where the first sensor saw it.
+    /// The board's pose by the first sensor.
     pub first_from_board: Pose,
-    /// How fast it moved then, in the first sensor's frame.
+    /// The board's velocity then, in the first sensor's frame.
     pub motion: BoardMotion,
-    /// Where the second sensor saw it.
+    /// The board's pose by the second sensor.
     pub second_from_board: Pose,
 }
 
-/// Where the board's corners are in the board frame, and how far they reach.
+/// The center of the board's corners in the board frame, and their extent.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BoardExtent {
-    /// Their middle, in meters.
+    /// The center, in meters.
     pub center_in_board: Vector3<f64>,
-    /// About the board's half width, in meters: the length that weighs rotations against
+    /// About the board's half width, in meters: the length by which rotations are weighted against
     /// translations.
     pub radius_m: f64,
 }
 
-/// Least number of frame sets that determine a time.
+/// Fewer frame sets than this do not determine a time offset.
 const LEAST_FRAME_SETS: usize = 8;
 
-/// A frame set is an outlier (its images of different times) if its residual exceeds this many
-/// standard deviations, and this many times what the estimated time explains.
+/// A frame set is an outlier, with images of different times, if its residual exceeds this many
+/// standard deviations, and this many times what the estimated offset explains.
 const LIMIT: [f64; 2] = [6.0, 2.0];
 
 /// The median of χ² with six degrees of freedom.
 const MEDIAN_OF_SIX: f64 = 5.348;
 
-/// By how much the second sensor is later, given about where it is. `None` for too few frame sets,
-/// or a board that never moves.
+/// By how much the second sensor is later, given an approximate pose between the two. `None` for
+/// too few frame sets, or a board that never moves.
 ///
-/// Frames too far from each other to follow the motion give velocities too high at one and too low
-/// at the next, which cancel in least squares but not in a robust fit. So frame sets weigh the
-/// same, but for outliers, and the variance is that of the residuals (H. White, *A
-/// heteroskedasticity-consistent covariance matrix estimator*, 1980).
+/// Where frames are too far from each other in time to follow the motion, velocities are too high
+/// at one frame and too low at the next. These errors cancel in least squares, but not in a robust
+/// fit. So all frame sets that are not outliers have the same weight, and the variance is that of
+/// the residuals (H. White, *A heteroskedasticity-consistent covariance matrix estimator*, 1980).
 pub fn time_offset(
     second_from_first: &Pose,
     moments: &[SeenByBoth],
@@ -260,10 +262,10 @@ pub fn time_offset(
 }
 
 /// The difference of the two sensors' board poses in one frame set, in meters (rotations times
-/// radius), and by what.
+/// radius), and its derivatives.
 struct OffsetRow {
     difference: SVector<f64, 6>,
-    /// By a rotation and a translation of the sensors' pose, and by time.
+    /// By a rotation and a translation of the sensors' relative pose, and by time.
     by: SMatrix<f64, 6, 7>,
     /// The length of its last column, in m/s.
     speed: f64,
@@ -296,10 +298,10 @@ impl OffsetRow {
     }
 }
 
-/// The weighted least squares of `rows`.
+/// The weighted least-squares solution for `rows`.
 struct OffsetFit {
-    /// A rotation (radians) and a translation (meters) of the sensors' pose, and the time
-    /// (seconds).
+    /// A rotation (radians) and a translation (meters) of the sensors' relative pose, and the time
+    /// offset (seconds).
     answer: SVector<f64, 7>,
     /// The inverse of the normal equations.
     inverse: SMatrix<f64, 7, 7>,
@@ -333,7 +335,7 @@ impl BoardMotion {
         }
     }
 
-    /// The step (ω, τ) that it makes in `seconds`.
+    /// The step (ω, τ) of this motion in `seconds`.
     pub(crate) fn step(&self, seconds: f64) -> [f64; 6] {
         let (rotation, translation) = (self.angular_velocity * seconds, self.velocity * seconds);
         [rotation.x, rotation.y, rotation.z, translation.x, translation.y, translation.z]
@@ -373,7 +375,8 @@ mod tests {
                 open += (after - before).fixed_rows::<3>(3).norm_squared() / 4.0;
                 whole += off_m(moment.camera_from_board.translation(), truth).powi(2);
             }
-            // At 30 fps a tenth is left; at 5 fps no more than the two motions differ by.
+            // At 30 fps a tenth of the motion remains; at 5 fps no more than the two steps differ
+            // by.
             assert!(left < if fps > 20.0 { 0.01 * whole } else { whole }, "{fps}: {left} {whole}");
             assert!(left < 1.5 * open, "{fps}: {left} {open}");
         }
@@ -423,7 +426,7 @@ mod tests {
         for offset_s in [-0.02, 0.0, 0.012] {
             let both = moments.iter().zip(board_motions(&moments)).enumerate().filter_map(
                 |(k, (moment, motion))| {
-                    // Every tenth image is of another moment altogether.
+                    // Every tenth image was taken at another time altogether.
                     let late = if k % 10 == 7 { 0.3 } else { offset_s };
                     Some(SeenByBoth {
                         first_from_board: moment.camera_from_board,

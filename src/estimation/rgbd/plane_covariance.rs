@@ -1,4 +1,4 @@
-//! The covariance of a depth camera's lens and pose by planes.
+//! The covariance of a depth camera's lens and pose estimated from planes.
 
 use nalgebra::{DMatrix, DVector, Matrix6};
 
@@ -12,15 +12,16 @@ use crate::estimation::normal_probability::normal_probability;
 use crate::estimation::rgbd::corners::CornerBlocks;
 use crate::estimation::rgbd::planes::{Fit, Planes, scaled};
 
-/// A lens or pose that the form of the correction moves by more than this many standard deviations
-/// is known no better than that; at this many it counts by half, as how far it is moved is known to
-/// one.
+/// Where another form of the correction changes lens or pose by more than this many standard
+/// deviations, the change is added to their uncertainty. At exactly this many it counts by half, as
+/// the change itself is known to one standard deviation.
 const FORM_LIMIT: f64 = 3.0;
 
 impl Planes<'_> {
-    /// The covariance of lens and pose by planes: by the tiles' scatter, by that of the views,
-    /// which share what the model leaves of depth's error, and by that of the corners' answer,
-    /// which moves all planes of a view together and, through color's lens, those of all views.
+    /// The covariance of lens and pose from planes: from the tiles' scatter; from the scatter
+    /// between views, which share the error of depth that the model leaves; and from the covariance
+    /// of the corners' estimate, which moves all planes of a view together and, through color's
+    /// lens, those of all views.
     pub(super) fn covariance(&self, corners: &CornerBlocks, fit: &Fit) -> Option<DMatrix<f64>> {
         let unscaled = fit.equations.global_covariance()?;
         let views: Option<Vec<ReducedView>> =
@@ -30,8 +31,9 @@ impl Planes<'_> {
         let own = self.with_jackknife(fit, &own);
         let (size, free) = (unscaled.nrows(), self.layout.len);
         let mut by_lens = DMatrix::zeros(size, corners.covariance.nrows());
-        // The planes' equations hold the corners' of each pose, and so its own scatter: what is
-        // left is that of color's lens, which moves the corners' poses of all views.
+        // The planes' equations contain the corners' for each pose, and thus the scatter of that
+        // pose. What remains is the uncertainty of color's lens, which moves the corners' poses of
+        // all views.
         for (frame_set, block) in fit.equations.frame_sets.iter().enumerate() {
             let Some(factor) = Matrix6::from_fn(|a, b| block.hessian[a][b]).cholesky() else {
                 continue;
@@ -48,15 +50,14 @@ impl Planes<'_> {
         Some(own + &moved * &corners.covariance * moved.transpose())
     }
 
-    /// The covariance of lens and pose as fits without some of the planes show it, as far as views
-    /// differ. To first order (`own`) the tiles that are believed and their scatter are held, and
-    /// the steps of views that alone determine a part of the correction are cut short.
+    /// The covariance of lens and pose by a jackknife over the planes, with the weight of the
+    /// scatter between views. The first-order covariance, `own`, keeps the inlier tiles and their
+    /// scatter fixed, and limits the steps of views that alone determine a part of the correction.
     fn with_jackknife(&self, fit: &Fit, own: &FitCovariance) -> DMatrix<f64> {
         let free = self.layout.len;
         let [of_both, of_all] = [free, own.unit.nrows()].map(|size| own.block(0..size));
         let to_first_order = of_all.covariance.view((0, 0), (free, free)).into_owned();
-        // Views that differ in what they say of depth's error may agree about lens and pose by
-        // chance.
+        // Views with different errors of depth may agree about lens and pose by chance.
         let weight = of_both.weight.max(of_all.weight);
         if !(weight > 0.0) {
             return to_first_order;
@@ -71,7 +72,7 @@ impl Planes<'_> {
         }
     }
 
-    /// From the lens and pose of one fit to those of another.
+    /// The step from the lens and pose of one fit to those of another.
     fn step(&self, fit: &Fit, other: &Fit) -> DVector<f64> {
         let sensor = &self.layout.sensors[1];
         let mut step = DVector::zeros(self.layout.len);
@@ -88,7 +89,7 @@ impl Planes<'_> {
         step
     }
 
-    /// What a view's plane says by itself, the board's pose eliminated.
+    /// The information of one view's plane alone, the board's pose eliminated.
     fn part(&self, fit: &Fit, plane: &PlaneObservation) -> Option<ReducedView> {
         let at = self.layout.len;
         let layout = Layout { len: at + fit.correction.coefficients.len(), ..self.layout.clone() };
@@ -110,8 +111,8 @@ impl Planes<'_> {
         alone.reduced(frame_set)
     }
 
-    /// What another form of the correction does to lens and pose, as their variances, times how
-    /// likely it is that this is beyond chance.
+    /// The change of lens and pose with another form of the correction, squared to a covariance and
+    /// multiplied by the probability that it is beyond chance.
     pub(super) fn by_form(
         &self,
         fit: &Fit,

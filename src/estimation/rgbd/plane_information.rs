@@ -1,6 +1,5 @@
-//! What the board's surface in one depth image says of the depth camera that measured it: the very
-//! equations that the solve by planes sums up, view by view, for whoever weighs views before there
-//! is a solve.
+//! The information of one depth image of the board on the depth camera: the same equations that the
+//! solve by planes sums up. They allow views to be weighed before there is a solve.
 
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Matrix6, Point3, Vector3, Vector6};
 
@@ -21,38 +20,38 @@ use crate::geometry::lens::Lens;
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::{Pose, pose_step};
 
-/// Beyond a scale and an offset a correction's form follows from all views together.
+/// A scale and an offset. Any further form of a correction follows from all views together.
 const TERMS: usize = 2;
 
-/// A depth camera beside a color camera, as far as it is known. Its parameters are the open ones of
+/// An approximately known depth camera beside a color camera. Its parameters are the open ones of
 /// its lens, then a step of `depth_from_color` (a rotation about depth's axes and a translation),
-/// and the coefficients of the correction.
+/// then the coefficients of the correction.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlacedDepth {
     /// Its lens.
     pub lens: Lens,
-    /// The open parameters of that, by their index in [`Lens::parameters`]: the focal lengths and
-    /// the principal point, which planes determine; all of them where infrared sees boards.
+    /// Indices into [`Lens::parameters`] of the open parameters: the focal lengths and the
+    /// principal point, which planes determine; all of them where infrared sees boards.
     pub open: Vec<usize>,
-    /// Where color is, seen from depth.
+    /// Color's pose in depth's frame.
     pub depth_from_color: Pose,
-    /// What its numbers mean.
+    /// The meaning of its readings.
     pub reading: DepthReading,
     /// Its systematic error.
     pub correction: DepthCorrection,
 }
 
-/// Some tiles of a board's surface that stand for all of them.
+/// A sample of the tiles on a board's surface that represents all of them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TileSample {
     /// The tiles.
     pub tiles: Vec<DepthTile>,
-    /// For how many tiles each of them stands.
+    /// The number of tiles that each of them represents.
     pub each: f64,
 }
 
 /// The normal equations of one view over the depth camera's parameters and the board's pose. The
-/// pose is a step of where the board is before color, about the board's origin.
+/// latter is a step of the board's pose in color's frame, about the board's origin.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlaneNormal {
     /// Over the depth camera's parameters.
@@ -61,17 +60,17 @@ pub struct PlaneNormal {
     pub coupling: DMatrix<f64>,
     /// Over the pose.
     pub by_pose: Matrix6<f64>,
-    /// The sum of squared residuals, in variances.
+    /// The sum of squared residuals, each in standard deviations.
     pub squares: f64,
-    /// Of half the sum of squares, by the depth camera's parameters …
+    /// The gradient of half the sum of squares by the depth camera's parameters …
     pub gradient: DVector<f64>,
     /// … and by the pose.
     pub pose_gradient: Vector6<f64>,
 }
 
 impl PlacedDepth {
-    /// A camera whose depth is wrong by a scale and an offset in 1/z that nothing is known of,
-    /// about the depths `seen_m`.
+    /// A camera whose depth has an unknown scale and offset in 1/z, for depths in the range
+    /// `seen_m`.
     pub fn new(
         lens: Lens,
         size: ImageSize,
@@ -85,35 +84,34 @@ impl PlacedDepth {
         Self { lens, open, depth_from_color, reading, correction }
     }
 
-    /// Its lens and pose alone.
+    /// Its lens and pose, without the correction.
     pub fn posed_lens(&self) -> PosedDepthLens {
         PosedDepthLens { lens: self.lens, depth_from_color: self.depth_from_color }
     }
 
-    /// The same with all of its lens open.
+    /// The same with all parameters of its lens open.
     #[must_use]
     pub fn with_open_lens(self) -> Self {
         let open = free(&self.lens, self.lens.parameters().len()).free;
         Self { open, ..self }
     }
 
-    /// Where the step of the pose begins among its parameters.
+    /// The index of the pose's step among its parameters.
     pub fn pose_at(&self) -> usize {
         self.open.len()
     }
 
-    /// Where the coefficients of the correction do.
+    /// The index of the correction's first coefficient.
     pub fn correction_at(&self) -> usize {
         self.pose_at() + 6
     }
 
-    /// How many parameters it has.
+    /// The number of its parameters.
     pub fn parameters(&self) -> usize {
         self.correction_at() + self.correction.coefficients.len()
     }
 
-    /// What the solve takes for known of the correction beforehand: the inverse of its covariance,
-    /// over all parameters.
+    /// The solve's prior of the correction, as an information matrix over all parameters.
     pub fn correction_prior(&self) -> DMatrix<f64> {
         let prior = Prior::of(&self.correction, BASE_SMOOTHNESS).hessian;
         let count = self.parameters();
@@ -123,7 +121,7 @@ impl PlacedDepth {
         all
     }
 
-    /// The same after a step of its parameters; `None` where a lens parameter leaves the possible.
+    /// The same after a step of its parameters; `None` where the lens is no longer valid.
     pub fn stepped(&self, step: &DVector<f64>) -> Option<Self> {
         let mut parameters = self.lens.parameters();
         self.open.iter().enumerate().for_each(|(k, index)| parameters[*index] += step[k]);
@@ -138,7 +136,7 @@ impl PlacedDepth {
         Some(Self { lens, depth_from_color, correction, ..self.clone() })
     }
 
-    /// The uncorrected 1/z where `corrected` is the right one, in 1/m.
+    /// The uncorrected 1/z that the correction maps to `corrected`, in 1/m.
     pub fn uncorrected(&self, pixel: Pixel, corrected: f64) -> f64 {
         let at = self.correction.at(pixel);
         (0..3).fold(corrected, |inverse, _| inverse + corrected - at.correct(inverse))
@@ -153,8 +151,8 @@ impl PlacedDepth {
         (inverse.is_finite() && inverse > 0.0).then_some(inverse)
     }
 
-    /// A tile against the board's plane, in standard deviations; `None` where the lens sees
-    /// nothing.
+    /// The residual of a tile against the board's plane, in standard deviations; `None` where the
+    /// lens has no ray for the tile's pixel, or the plane is behind the camera.
     pub fn residual(&self, depth_from_board: &Pose, tile: &DepthTile) -> Option<f64> {
         let plane = self.plane_inverse_depth(depth_from_board, tile.pixel)?;
         let at = self.correction.at(tile.pixel);
@@ -163,8 +161,8 @@ impl PlacedDepth {
         residual.is_finite().then_some(residual)
     }
 
-    /// The point at depth `z_m` behind a pixel, seen from color, and its derivative by the depth
-    /// camera's parameters where the reading stays as it is. `None` where the lens sees nothing.
+    /// The point at depth `z_m` behind a pixel, in color's frame, and its derivative by the depth
+    /// camera's parameters for a fixed reading. `None` where the lens has no ray for the pixel.
     pub fn point_in_color(&self, pixel: Pixel, z_m: f64) -> Option<(Point3<f64>, DMatrix<f64>)> {
         let inverse_depth = self.uncorrected(pixel, 1.0 / z_m);
         let tile = DepthTile { pixel, inverse_depth, reading_std: 0.0, count: 1 };
@@ -178,7 +176,8 @@ impl PlacedDepth {
             let moved = inverse * projection.by_parameters.column(*index) * -z_m;
             by_depth.fixed_view_mut::<2, 1>(0, k).copy_from(&moved);
         }
-        // The pose moves color's points, and depth's point moves the other way in color.
+        // The pose moves color's points in depth's frame, so depth's point moves the other way in
+        // color's.
         let (pose_at, correction_at) = (self.pose_at(), self.correction_at());
         let lever = in_depth - self.depth_from_color.translation();
         by_depth.fixed_view_mut::<3, 3>(0, pose_at).copy_from(&lever.cross_matrix());
@@ -197,9 +196,9 @@ impl PlacedDepth {
 }
 
 impl PlaneNormal {
-    /// That of a board at `color_from_board`, whose surface was measured in `sample`. Tiles scatter
-    /// with `variance` times that of their readings. `None` where one of them is not seen by the
-    /// lens, or the board is edge-on.
+    /// From a board at `color_from_board`, whose surface was measured in `sample`. The variance of
+    /// tiles is `variance` times that of their readings. `None` where the lens cannot see one of
+    /// them, or the board is edge-on.
     pub fn of(
         depth: &PlacedDepth,
         color_from_board: &Pose,
@@ -259,12 +258,12 @@ impl PlaneNormal {
     }
 }
 
-/// A board's pose after a step as [`PlaneNormal`] has it.
+/// A board's pose after a step as in [`PlaneNormal`].
 pub fn moved_board(color_from_board: &Pose, step: &Vector6<f64>) -> Pose {
     moved(color_from_board, step.as_slice())
 }
 
-/// The step of `depth_from_color` from one pose to another one near it.
+/// The step of `depth_from_color` from one pose to another close to it.
 pub fn depth_pose_step(depth_from_color: &Pose, moved_depth_from_color: &Pose) -> Vector6<f64> {
     let (now, then) = (depth_from_color, moved_depth_from_color);
     let rotation = (then.rotation() * now.rotation().inverse()).scaled_axis();

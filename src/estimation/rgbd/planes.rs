@@ -1,7 +1,7 @@
 //! Estimates from planes: the correction of depth, and for a depth camera without an infrared image
-//! its lens and pose. The board's poses are those of the corners: held where infrared sees them
-//! too, else moved within what the corners leave open, so that a far board's uncertain tilt does
-//! not distort the lens.
+//! its lens and pose. The board's poses are those of the corners. They are fixed where infrared
+//! sees the boards too; otherwise they are estimated with the corners' information as a prior, so
+//! that the uncertain tilt of a distant board does not distort the lens.
 
 use std::ops::Range;
 
@@ -25,20 +25,21 @@ use crate::geometry::lens::Lens;
 use crate::geometry::median::{NORMAL_MEDIAN, median};
 use crate::geometry::pose::{Pose, pose_step};
 
-/// Residual limit of an inlier tile, in standard deviations of the tiles' scatter: their tails are
-/// longer than normal ones. Not swept.
+/// Residual limit of an inlier tile, in standard deviations of the tiles' scatter: its tails are
+/// longer than those of a normal distribution. Not swept.
 const LIMIT_STDS: f64 = 6.0;
-/// The same in the first round, whose residuals also have what the start is off by.
+/// The same in the first round, whose residuals include the error of the start.
 const FIRST_LIMIT_STDS: f64 = 12.0;
 
-/// Rounds of a fit, at most; between them tiles are weighted and chosen again. Chosen, not swept.
+/// The largest number of rounds of a fit; between them tiles are weighted and selected again.
+/// Chosen, not swept.
 const ROUNDS: usize = 6;
-/// The same of a fit that begins where one has ended: the last is by the tiles and the weight that
-/// the first one found. Chosen, not swept.
+/// The same for a fit that starts from the result of another: its last round uses the tiles and the
+/// weight that its first one found. Chosen, not swept.
 const ROUNDS_AGAIN: usize = 2;
 
-/// A tile's mean is taken to be known to this part of the standard deviation of its readings at
-/// best, as if a hundred of them erred independently: readings next to each other err together.
+/// The least standard deviation of a tile's mean, as a part of that of its readings. It corresponds
+/// to a hundred independent readings: the errors of neighboring readings are correlated.
 const LEAST_READING_STDS: f64 = 0.1;
 
 /// The problem of the planes.
@@ -47,12 +48,12 @@ pub(super) struct Planes<'a> {
     problem: &'a RgbdProblem,
     pub(super) layout: Layout,
     pub(super) planes: Vec<PlaneObservation>,
-    /// Each board's pose by corners with its normal equations, where planes may move it within what
-    /// corners leave open.
+    /// Each board's pose from corners with its information, where planes may move it within the
+    /// uncertainty of the corners.
     pub(super) anchors: Option<Vec<Anchor>>,
 }
 
-/// A board's pose by corners: the square of their equations there.
+/// A board's pose from corners, with its information matrix.
 #[derive(Clone)]
 pub(super) struct Anchor {
     rig_from_board: Pose,
@@ -72,13 +73,13 @@ pub(super) struct Fit {
     pub(super) smoothness: Smoothness,
     pub(super) equations: NormalEquations,
     pub(super) tile_noise: f64,
-    /// By how much the mean of many tiles scatters more than if each erred by itself.
+    /// By how much the mean of many tiles scatters more than with independent errors.
     pub(super) together: f64,
 }
 
 impl Fit {
-    /// The correction's form with one power less, unfitted, where there is one that is still a
-    /// scale and an offset.
+    /// The form of the correction with one power less, not fitted; `None` where that would be less
+    /// than a scale and an offset.
     pub(super) fn other_form(&self) -> Option<DepthCorrection> {
         let DepthCorrection { quantity, terms, grid, seen_m, .. } = self.correction;
         (terms > 2).then(|| DepthCorrection::none(quantity, terms - 1, grid, seen_m))
@@ -86,8 +87,8 @@ impl Fit {
 }
 
 impl<'a> Planes<'a> {
-    /// `depth_state` has each board where it was when depth was taken; `by_corners` what corners
-    /// leave open of that.
+    /// `depth_state` has each board at its pose when depth was taken; `by_corners` is the corners'
+    /// information on those poses.
     pub(super) fn of(
         problem: &'a RgbdProblem,
         depth_state: &State,
@@ -139,7 +140,7 @@ impl<'a> Planes<'a> {
         Self { problem, layout, planes: planes.collect(), anchors }
     }
 
-    /// The planes, counted from 0, for which `is_kept` is true.
+    /// The problem of only those planes, counted from 0, for which `is_kept` is true.
     pub(super) fn of_views(&self, is_kept: impl Fn(usize) -> bool) -> Self {
         let kept = self.planes.iter().enumerate().filter(|(k, _)| is_kept(*k));
         Self { planes: kept.map(|(_, plane)| plane.clone()).collect(), ..self.clone() }
@@ -165,7 +166,7 @@ impl<'a> Planes<'a> {
         self.fit_in(0..ROUNDS, start, smoothness, 1.0)
     }
 
-    /// Fits again what ended in `before`, after planes were left out.
+    /// Fits again from the result `before`, after planes were left out.
     pub(super) fn fit_again(&mut self, before: &Fit) -> Option<Fit> {
         let start = PlaneState { rig: before.state.clone(), correction: before.correction.clone() };
         let rounds = ROUNDS - ROUNDS_AGAIN..ROUNDS;
@@ -210,7 +211,7 @@ impl<'a> Planes<'a> {
             let count = planes.iter().map(|plane| plane.tiles.len()).sum::<usize>();
             let mut at_end = linearized(&whole)?;
             if layout.len > 0 {
-                // Later rounds begin where the one before has ended.
+                // Later rounds start close to their minimum.
                 let lambda = if round == 0 { Stop::default().lambda } else { 0.0 };
                 let stop = Stop { lambda, ..Stop::default() };
                 (whole, at_end, _) = walk((whole, at_end), count, stop, (linearized, stepped));
@@ -236,8 +237,8 @@ impl<'a> Planes<'a> {
         })
     }
 
-    /// Makes those tiles inliers whose residual is at most `limit_stds` of the scatter of all;
-    /// answers whether that changed any.
+    /// Selects as inliers the tiles whose residual is at most `limit_stds` times the scatter of
+    /// all. Returns whether the selection changed.
     fn select_inliers(&mut self, residuals: &[Vec<f64>], limit_stds: f64) -> bool {
         let sizes = residuals.iter().flatten().filter(|r| r.is_finite()).map(|r| r.abs()).collect();
         let limit = limit_stds * median(sizes).unwrap_or(0.0) / NORMAL_MEDIAN;
@@ -262,8 +263,8 @@ impl<'a> Planes<'a> {
     }
 
     /// By how much the means over quarters of views scatter more than those of independent tiles;
-    /// at least 1. Where the correction leaves a systematic error, tiles next to each other share
-    /// it, and count for less than their number.
+    /// at least 1. Where the correction leaves a systematic error, neighboring tiles share it, and
+    /// their mean is less certain than their number suggests.
     fn together(&self, residuals: &[Vec<f64>]) -> f64 {
         let (mut of_means, mut of_tiles, mut count) = (0.0, 0.0, 0.0);
         for (plane, residuals) in self.planes.iter().zip(residuals) {
@@ -292,7 +293,7 @@ impl<'a> Planes<'a> {
             .sqrt()
     }
 
-    /// Part of the board's own tiles that are inliers.
+    /// The part of the board's own tiles that are inliers.
     fn following(&self) -> f64 {
         let own = self.planes.iter().flat_map(|plane| {
             plane.used.iter().take(self.problem.views[plane.frame_set].tiles.len())
@@ -301,7 +302,7 @@ impl<'a> Planes<'a> {
         f64::from(used) / f64::from(all.max(1))
     }
 
-    /// What each tile should have been.
+    /// Each inlier tile, with the 1/z that it should have measured.
     pub(super) fn judged(&self, fit: &Fit) -> Vec<Vec<JudgedTile>> {
         let mut views = vec![Vec::new(); self.problem.views.len()];
         for plane in &self.planes {
@@ -376,7 +377,7 @@ impl<'a> Planes<'a> {
         })
     }
 
-    /// `estimate` with what planes say of the correction in `fit`, lens and pose being known.
+    /// `estimate` with the correction of `fit`, lens and pose being known.
     pub(super) fn refitted(
         &self,
         estimate: &RgbdEstimate,
@@ -446,7 +447,7 @@ fn linearized(
 }
 
 impl Anchor {
-    /// Adds the corners' equations about their own answer.
+    /// Adds the corners' equations about their own estimate.
     pub(super) fn hold(&self, rig_from_board: &Pose, cost: &mut f64, block: &mut LocalBlock) {
         let rotation =
             (rig_from_board.rotation() * self.rig_from_board.rotation().inverse()).scaled_axis();
@@ -463,7 +464,8 @@ impl Anchor {
     }
 }
 
-/// 1 over the standard deviation of a tile's 1/z, in m: its readings' scatter and their step.
+/// 1 over the standard deviation of a tile's 1/z, in m, from its readings' scatter and their
+/// quantization step.
 pub(super) fn tile_inverse_std(reading: DepthReading, tile: &DepthTile) -> f64 {
     let step = reading.inverse_depth_step(tile.inverse_depth);
     let reading_std = tile.reading_std.hypot(step / 12.0_f64.sqrt());

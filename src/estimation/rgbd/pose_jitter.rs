@@ -19,24 +19,24 @@ pub(super) struct PoseJitter {
     pub(super) translation: f64,
 }
 
-/// A variance that stands for none.
+/// The variance that means no pose jitter.
 const NONE: f64 = 1e-16;
 
-/// Least gain in log-likelihood by which a variance counts as more than chance: of sets of views
-/// without pose jitter, about one in forty gains as much (half a χ² of
-/// one, at the edge of what a variance can be: S. Self and K.-Y. Liang, *Asymptotic properties of
+/// The least gain in log-likelihood by which a variance counts as more than chance. Of sets of
+/// views without pose jitter, about one in forty gains as much (half a χ² of one degree of freedom,
+/// since a variance of zero is on the boundary: S. Self and K.-Y. Liang, *Asymptotic properties of
 /// maximum likelihood estimators under nonstandard conditions*, 1987).
 const LEAST_GAIN: f64 = 2.0;
 
 impl PoseJitter {
-    /// With what a view's own motion adds.
+    /// The variances for one view, to which its own `motion` adds.
     pub(super) fn covariance(self, motion: &[f64; 6]) -> Vector6<f64> {
         let of = |k: usize| motion[k..k + 3].iter().map(|m| m * m).sum::<f64>() / 3.0;
         let (rotation, translation) = (self.rotation + of(0), self.translation + of(3));
         Vector6::new(rotation, rotation, rotation, translation, translation, translation)
     }
 
-    /// From the medians of the views' differences: a start that holds with a third of outliers.
+    /// From the medians of the views' differences: a start that tolerates a third of outliers.
     pub(super) fn of_middle(differences: &[PoseDifference]) -> Self {
         const MEDIAN_OF_THREE: f64 = 2.366;
         let middle = |from: usize| {
@@ -49,21 +49,21 @@ impl PoseJitter {
         Self { rotation: middle(0), translation: middle(3) }
     }
 
-    /// The next estimate, by the inlier views.
+    /// The next estimate, from the inlier views.
     #[expect(clippy::needless_pass_by_value, reason = "an iterator is for its one reader")]
     pub(super) fn next<'a>(
         self,
         differences: impl Iterator<Item = &'a PoseDifference> + Clone,
     ) -> Self {
         let of = |from: usize, variance: f64| {
-            // Three numbers of the sensors' pose were fitted to the same views.
+            // Three parameters of the sensors' pose were fitted to the same views.
             let (mut squares, mut determined) = (0.0, -3.0);
             for view in differences.clone() {
                 let own = view.pose_jitter.fixed_rows::<3>(from).norm_squared();
                 let prior = view.prior.fixed_rows::<3>(from).sum() / 3.0;
                 let left =
                     (0..3).map(|k| view.posterior[(from + k, from + k)] / prior).sum::<f64>();
-                // What the view's own motion explains is not shared by all.
+                // The part that the view's own motion explains is not common to all views.
                 squares += own * variance / prior;
                 determined += (3.0 - left).max(0.0);
             }
@@ -73,9 +73,9 @@ impl PoseJitter {
             .where_shown(&differences, self)
     }
 
-    /// Without the variances that the views do not show: one that only followed chance would make
-    /// the sensors' pose less certain than it is. `held` are the variances at which the views'
-    /// priors were computed.
+    /// Sets to none the variances that are not significant: a variance that only fitted chance
+    /// would make the sensors' pose appear less certain than it is. `held` are the variances with
+    /// which the views' priors were computed.
     fn where_shown<'a>(
         mut self,
         differences: &(impl Iterator<Item = &'a PoseDifference> + Clone),
@@ -95,7 +95,7 @@ impl PoseJitter {
         self
     }
 
-    /// The views show none.
+    /// Whether the views show none.
     pub(super) fn is_none(self) -> bool {
         self.rotation <= NONE && self.translation <= NONE
     }
@@ -106,7 +106,7 @@ impl PoseJitter {
     }
 }
 
-/// What color's corners alone say of a board's pose, in the infrared camera's frame.
+/// A board's pose from color's corners alone, in the infrared camera's frame.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PoseByColor {
     /// The step to it from the pose of the state.
@@ -117,23 +117,23 @@ pub(super) struct PoseByColor {
 /// The difference of color's and infrared's board pose in one view, in the infrared camera's frame.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PoseDifference {
-    /// The step from the pose of the state to that by infrared's corners alone.
+    /// The step from the state's pose to that from infrared's corners alone.
     pub(super) by_infrared: Vector6<f64>,
-    /// The pose by infrared's corners alone from that by color's alone. The state's pose is between
-    /// them where the view's infrared image is in use.
+    /// The step from the pose by color's corners alone to that by infrared's alone. The state's
+    /// pose is between them where the view's infrared image is in use.
     difference: Vector6<f64>,
     /// The posterior mean of the difference under the pose jitter's variances.
     pub(super) pose_jitter: Vector6<f64>,
     pub(super) prior: Vector6<f64>,
     pub(super) posterior: Matrix6<f64>,
-    /// The covariance of `difference` by corners alone.
+    /// The covariance of `difference` from the corners' noise alone.
     measured: Matrix6<f64>,
-    /// How unlikely `difference` is: a χ² with six degrees of freedom.
+    /// The squared Mahalanobis length of `difference`: χ² with six degrees of freedom.
     pub(super) surprise: f64,
 }
 
 impl PoseDifference {
-    /// From infrared's equations (its pose's square and gradient), what color says of the pose, and
+    /// From infrared's equations (the pose's block and gradient), color's estimate of the pose, and
     /// the pose jitter's variances.
     pub(super) fn of(
         square: &Matrix6<f64>,
@@ -153,8 +153,8 @@ impl PoseDifference {
         Some(Self { by_infrared, difference, pose_jitter, prior, posterior, measured, surprise })
     }
 
-    /// The logarithm of how likely it is, up to a constant, with these variances added to
-    /// the prior's.
+    /// The log-likelihood of `difference`, up to a constant, with these variances added to the
+    /// prior's.
     fn likelihood(&self, rotation: f64, translation: f64) -> f64 {
         let more =
             Vector6::new(rotation, rotation, rotation, translation, translation, translation);
@@ -185,7 +185,7 @@ pub(super) fn eliminate(local: &mut LocalEquations, variances: &Vector6<f64>) ->
     Some(())
 }
 
-/// An observation's equations for the board's pose: square and gradient.
+/// An observation's equations for the board's pose: block and gradient.
 pub(super) fn pose_part(local: &LocalEquations) -> (Matrix6<f64>, Vector6<f64>) {
     let (residual, pose) = (local.columns - 1, local.columns - 7);
     let square = Matrix6::from_fn(|a, b| local.product(pose + a, pose + b));
@@ -196,8 +196,8 @@ pub(super) fn pose_part(local: &LocalEquations) -> (Matrix6<f64>, Vector6<f64>) 
 mod tests {
     use super::*;
 
-    /// The pose that color and infrared give together is between those by each alone: what they are
-    /// difference does not depend on it.
+    /// The joint pose from color and infrared is between the poses from each alone. The difference
+    /// of these two does not depend on it.
     #[test]
     fn a_difference_is_that_of_both_poses_alone() {
         let by_color = Vector6::new(0.0, 1.0, -2.0, 0.5, 0.0, 3.0);
