@@ -1,10 +1,10 @@
-//! Bundle adjustment: the lens, all poses and all points that explain all observations best, by
+//! Bundle adjustment: the lens, all poses and all points that fit all observations best, by
 //! Levenberg–Marquardt (B. Triggs et al., *Bundle adjustment – a modern synthesis*, 2000). Each
 //! point is eliminated from the normal equations (the Schur complement), so that a step costs a
-//! solve of the size of the lens and the poses. After each step points move once more by
-//! themselves (Y. Jeong et al., *Pushing the envelope of modern methods for bundle adjustment*,
-//! 2012: embedded point iterations): where focal length and depth trade, the valley of the cost is
-//! narrow and curved, and points off its floor would shorten every step.
+//! solve of the size of the lens and the poses. After each step every point makes a step of its own
+//! (Y. Jeong et al., *Pushing the envelope of modern methods for bundle adjustment*, 2012: embedded
+//! point iterations). Where focal length and depth are correlated, the valley of the cost is narrow
+//! and curved, and points off its floor would shorten every step.
 
 use nalgebra::{
     DMatrix, DVector, Matrix2x3, Matrix2x6, Matrix3, Point3, SMatrix, Vector2, Vector3,
@@ -17,33 +17,33 @@ use crate::geometry::lens::{Lens, MAX_PARAMETERS};
 use crate::geometry::pixel::Pixel;
 use crate::geometry::pose::Pose;
 
-/// What is estimated.
+/// The parameters that are estimated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SceneState {
-    /// One for all images.
+    /// The lens of all images.
     pub lens: Lens,
-    /// Each image's pose. The first stays where it is: the scene's frame is fixed to it.
+    /// Each image's pose. The first is fixed: it defines the scene's frame.
     pub cameras_from_scene: Vec<Pose>,
     /// In the scene's frame.
     pub points: Vec<Point3<f64>>,
 }
 
-/// One point seen by one camera.
+/// The observation of one point in one image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SceneObservation {
     /// Index of the pose.
     pub camera: usize,
-    /// Where.
+    /// Where the point was observed.
     pub pixel: Pixel,
-    /// The size of what is seen there: the standard deviation of a Gaussian, in pixels.
+    /// The scale of the feature there: the standard deviation of a Gaussian, in pixels.
     pub scale_px: f64,
     /// One over the standard deviation of each coordinate, per pixel.
     pub inverse_std: f64,
 }
 
 impl SceneObservation {
-    /// Those of one scene point, by camera, where `camera_of` gives an image's; an image without
-    /// one is left out.
+    /// The observations of one scene point, by camera. `camera_of` gives the camera of an image; an
+    /// image without one is left out.
     pub(super) fn of_track(
         track: &[TrackPoint],
         camera_of: impl Fn(usize) -> Option<usize>,
@@ -62,28 +62,28 @@ impl SceneObservation {
     }
 }
 
-/// What is seen, and what may change.
+/// A bundle adjustment problem: the observations, and the parameters that are free.
 #[derive(Debug, Clone)]
 pub struct Bundle {
-    /// By point.
+    /// For each point.
     pub observations: Vec<Vec<SceneObservation>>,
     /// Which of [`Lens::parameters`] are estimated, ascending.
     pub free: Vec<usize>,
-    /// What is known of the lens beforehand.
+    /// The prior of the lens.
     pub prior: LensPrior,
-    /// What the camera did.
+    /// How the camera moved.
     pub motion: CameraMotion,
-    /// Residuals much above this, in standard deviations, count little (Cauchy's loss); infinite
-    /// for least squares.
+    /// The scale of Cauchy's loss, in standard deviations: larger residuals have little weight.
+    /// Infinite for least squares.
     pub robust_limit: f64,
-    /// Ends descents early.
+    /// Ends iterations early.
     pub interrupt: Interrupt,
 }
 
-/// What the camera did between the images.
+/// How the camera moved between the images.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CameraMotion {
-    /// It was in different places.
+    /// Its position changed.
     Moving,
     /// It only rotated: translations are 0, and points are directions.
     RotationOnly,
@@ -103,7 +103,7 @@ pub(super) struct PixelRow {
 pub(super) struct ReducedCameraSystem {
     pub matrix: DMatrix<f64>,
     pub gradient: DVector<f64>,
-    /// Per point, what gives its step back.
+    /// Per point, what is needed to compute its step.
     points: Vec<EliminatedPoint>,
 }
 
@@ -114,38 +114,39 @@ struct EliminatedPoint {
     by_pose: Vec<(usize, SMatrix<f64, 6, 3>)>,
 }
 
-/// When a descent ends.
+/// When iterations end.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BundleStop {
-    /// Steps at most.
+    /// The largest number of steps.
     pub max_steps: usize,
-    /// A step that lowers the cost by less than this part is the last.
+    /// The last step is one that lowers the cost by less than this part.
     pub least_decrease: f64,
 }
 
-/// Marquardt's λ at first, a part of each diagonal element: nearly a step of Gauss and Newton,
-/// since resection and triangulation start near the minimum. Not swept.
+/// Marquardt's λ at the start, as a part of each diagonal element. It allows nearly a Gauss–Newton
+/// step, since resection and triangulation start close to the minimum. Not swept.
 const START_DAMPING: f64 = 1e-4;
-/// What λ is multiplied by after a step that raises the cost, and divided by after one that lowers
+/// The factor by which λ rises after a step that raises the cost, and falls after one that lowers
 /// it (D. Marquardt, 1963).
 const DAMPING_FACTOR: f64 = 10.0;
-/// λ is lowered no further, so that a few raises bring it back.
+/// The lower limit of λ, so that a few rises restore it.
 const MIN_DAMPING: f64 = 1e-9;
-/// With more λ a step is below rounding: nothing lowers the cost.
+/// With a larger λ a step is below rounding, and cannot lower the cost.
 const MAX_DAMPING: f64 = 1e8;
 
 impl Bundle {
-    /// How many parameters lens and poses have.
+    /// Number of parameters of lens and poses.
     pub(super) fn size(&self, cameras: usize) -> usize {
         self.free.len() + 6 * cameras.saturating_sub(1)
     }
 
-    /// Where the parameters of a camera's pose begin; `None` for the first, which is fixed.
+    /// The index of the first parameter of a camera's pose; `None` for the first camera, which is
+    /// fixed.
     pub(super) fn pose_start(&self, camera: usize) -> Option<usize> {
         Some(self.free.len() + 6 * camera.checked_sub(1)?)
     }
 
-    /// The observations of one point, linearized. An observation behind its camera is left out.
+    /// The observations of one point, linearized, without those behind their camera.
     pub(super) fn rows(&self, state: &SceneState, point: usize) -> Vec<PixelRow> {
         let row = |seen: &SceneObservation| {
             let camera_from_scene = state.cameras_from_scene[seen.camera];
@@ -194,8 +195,8 @@ impl Bundle {
         if limit.is_finite() { limit * (1.0 + square / limit).ln() } else { square }
     }
 
-    /// What is minimized: losses and the prior's squares. Observations behind a camera cost as much
-    /// as one a hundred standard deviations off.
+    /// The cost that is minimized: losses and the prior's squared residuals. An observation behind
+    /// its camera costs as much as one with a residual of a hundred standard deviations.
     pub fn cost(&self, state: &SceneState) -> f64 {
         let points: f64 = (0..state.points.len()).map(|point| self.point_cost(state, point)).sum();
         let prior = self.prior.terms(&state.lens);
@@ -216,7 +217,7 @@ impl Bundle {
         self.observations[point].iter().map(loss).sum()
     }
 
-    /// The reduced normal equations at `state`, diagonals raised by the part `damping`.
+    /// The reduced normal equations at `state`, with diagonals multiplied by 1 + `damping`.
     pub(super) fn reduced(&self, state: &SceneState, damping: f64) -> ReducedCameraSystem {
         let size = self.size(state.cameras_from_scene.len());
         let lens = self.free.len();
@@ -260,7 +261,8 @@ impl Bundle {
         ReducedCameraSystem { matrix, gradient, points }
     }
 
-    /// What holds the length of a direction, which means nothing, in its normal equations.
+    /// The term that fixes the length of a direction, which has no meaning, in its normal
+    /// equations.
     pub(super) fn held_length(&self, block: &Matrix3<f64>, point: &Point3<f64>) -> Matrix3<f64> {
         if self.motion == CameraMotion::Moving {
             return Matrix3::zeros();
@@ -287,7 +289,7 @@ impl Bundle {
         }
     }
 
-    /// Descends from `start`.
+    /// Iterates from `start` to a minimum.
     pub fn minimize(&self, start: SceneState, stop: BundleStop) -> SceneState {
         let mut state = start;
         let mut cost = self.cost(&state);
@@ -310,7 +312,7 @@ impl Bundle {
             };
             let settled = cost - next_cost < stop.least_decrease * cost;
             (state, cost) = (next, next_cost);
-            // What has just failed would fail again.
+            // A λ that has just failed would fail again.
             if !was_raised {
                 damping = (damping * 0.1).max(MIN_DAMPING);
             }
@@ -322,7 +324,7 @@ impl Bundle {
         state
     }
 
-    /// Moves each point towards where lens and poses put it, by one step of Gauss and Newton.
+    /// Makes one Gauss–Newton step of each point, with lens and poses fixed.
     fn with_points_moved(&self, mut state: SceneState) -> SceneState {
         for point in 0..state.points.len() {
             let (mut block, mut gradient) = (Matrix3::zeros(), Vector3::zeros());
@@ -396,7 +398,7 @@ fn add_pose(
 }
 
 impl EliminatedPoint {
-    /// Takes the point's part off the lower triangle.
+    /// Subtracts the point's part from the lower triangle.
     fn subtract(&self, matrix: &mut DMatrix<f64>, gradient: &mut DVector<f64>, lens: usize) {
         let by_lens = self.by_lens * self.inverse;
         let lens_gradient = by_lens * self.gradient;
@@ -415,7 +417,7 @@ impl EliminatedPoint {
                 let mut view = matrix.fixed_view_mut::<6, 1>(*start, j);
                 view -= carried * self.by_lens.row(j).transpose();
             }
-            // Observations are by camera: earlier ones have smaller numbers.
+            // Observations are sorted by camera: earlier ones have smaller indices.
             for (other, other_block) in &self.by_pose[..=a] {
                 let both = carried * other_block.transpose();
                 let mut view = matrix.fixed_view_mut::<6, 6>(*start, *other);
@@ -424,7 +426,7 @@ impl EliminatedPoint {
         }
     }
 
-    /// The point's own step, given that of lens and poses.
+    /// The point's step, given that of lens and poses.
     fn step(&self, step: &DVector<f64>, lens: usize) -> Vector3<f64> {
         let mut rest = self.gradient;
         for k in 0..lens {

@@ -1,8 +1,9 @@
-//! Whether observations of one image, of one part of the scene, or of one region of all images, err
-//! together: the clustered covariance of K.-Y. Liang and S. L. Zeger, 1986, each way, the excesses
-//! added (A. C. Cameron, J. Gelbach and D. Miller, *Robust inference with multiway clustering*,
-//! 2011). What observations share in two ways at once is counted twice: on photographs errors reach
-//! farther than any cluster.
+//! The covariance of the lens where observations have errors in common: those of one image, of one
+//! part of the scene, or of one region of all images. It is the clustered covariance of K.-Y. Liang
+//! and S. L. Zeger, 1986, in each of these ways, with the excesses added (A. C. Cameron, J. Gelbach
+//! and D. Miller, *Robust inference with multiway clustering*, 2011). Errors that observations
+//! share in two ways at once are counted twice, because in photographs errors reach further than
+//! any cluster.
 
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix2xX, Matrix3, Matrix3xX, SymmetricEigen};
 
@@ -10,19 +11,20 @@ use crate::estimation::scene::bundle::{Bundle, PixelRow, SceneState};
 use crate::estimation::scene::parts::{PARTS, scene_parts};
 use crate::geometry::pixel::{ImageSize, Pixel};
 
-/// What observations that err together do to the lens, in whitened parameters of the lens: the
-/// identity is their covariance.
+/// The effect of common errors on the lens, in whitened parameters of the lens, whose covariance is
+/// the identity.
 pub(super) struct SharedErrors {
-    /// What observations say of it, by themselves and with the standard deviations that they have;
-    /// priors say the rest.
+    /// The part of that covariance that comes from observations with independent errors of their
+    /// stated standard deviations. The rest comes from priors.
     pub(super) observed: DMatrix<f64>,
-    /// The covariance because they err together, beyond what they do by themselves.
+    /// The covariance from common errors, beyond that from independent ones.
     pub(super) excess: DMatrix<f64>,
 }
 
 impl SharedErrors {
     /// At the minimum `state` of `bundle`, whose observations have standard deviations √`widened`
-    /// times their true ones. `steps`: whitened lens parameters by pull on all parameters.
+    /// times their true ones. `steps` maps the gradient of all parameters to whitened lens
+    /// parameters.
     pub(super) fn of(
         bundle: &Bundle,
         state: &SceneState,
@@ -31,9 +33,9 @@ impl SharedErrors {
     ) -> Self {
         let clusters = Clusters::of(bundle, state, steps);
         let observed: DMatrix<f64> = clusters.by_part.iter().map(|cluster| &cluster.expected).sum();
-        // Points and poses take up what the images of a point share, and a residual keeps this
-        // part of it, on average. What clusters of residuals vary by beyond chance is the square of
-        // that part of what there is.
+        // Points and poses absorb a part of the errors that the images of a point share; a residual
+        // retains `free_part` of them, on average. So the variance of clusters of residuals beyond
+        // chance is that of the errors times the square of this part.
         let kept = bundle.free_part(state.cameras_from_scene.len()).powi(2);
         let by_themselves = &observed / widened;
         let mut excess = DMatrix::zeros(observed.nrows(), observed.ncols());
@@ -45,14 +47,14 @@ impl SharedErrors {
         Self { observed, excess }
     }
 
-    /// The mean of the excess over all directions, as a part of what is observed.
+    /// The mean of the excess over all directions, relative to `observed`.
     pub(super) fn mean(&self) -> f64 {
         self.excess.trace() / self.observed.trace().max(f64::MIN_POSITIVE)
     }
 }
 
-/// What a cluster of observations does to the lens, in standard deviations of the lens: its pull,
-/// and the covariance that the pull has if observations err by themselves.
+/// The effect of a cluster of observations on the lens, in standard deviations of the lens: its
+/// step (the pull), and the covariance that the pull has with independent errors.
 #[derive(Clone)]
 struct Cluster {
     pull: DVector<f64>,
@@ -66,11 +68,11 @@ struct Clusters {
     by_region: Vec<Cluster>,
 }
 
-/// Regions along each side of the image: a lens model's misfit changes over lengths like these.
+/// Regions along each side of the image: the misfit of a lens model changes over such lengths.
 const REGIONS: usize = 4;
 
 impl Clusters {
-    /// `steps`: whitened lens parameters by pull on all parameters.
+    /// `steps` maps the gradient of all parameters to whitened lens parameters.
     fn of(bundle: &Bundle, state: &SceneState, steps: &DMatrix<f64>) -> Self {
         let lens = steps.ncols();
         let empty = Cluster { pull: DVector::zeros(lens), expected: DMatrix::zeros(lens, lens) };
@@ -91,7 +93,7 @@ impl Clusters {
                 clusters.by_image[row.camera].add(&pull, &expected);
                 let region = region(row.pixel, bundle.prior.image_size);
                 clusters.by_region[region].add(&pull, &expected);
-                // All rows of a point together: their residuals' covariance is a projection.
+                // All rows of a point together: the covariance of their residuals is a projection.
                 let whole = by_residual.tr_mul(by_residual);
                 clusters.by_part[part].add(&pull, &whole);
             }
@@ -106,9 +108,10 @@ impl Cluster {
         self.expected += expected;
     }
 
-    /// How far the lens moves, in standard deviations, if this cluster is left out: its pull, but
-    /// for what the fit has already given way to it (M. McCaffrey and R. Bell, *Bias reduction in
-    /// standard errors for linear regression with multi-stage samples*, 2002: the jackknife).
+    /// The step of the lens, in standard deviations, if this cluster is left out: its pull,
+    /// corrected for how far the fit has already followed the cluster (M. McCaffrey and R. Bell,
+    /// *Bias reduction in standard errors for linear regression with multi-stage samples*, 2002:
+    /// the jackknife).
     fn left_out(&self) -> DVector<f64> {
         let mut eigen = SymmetricEigen::new(self.expected.clone());
         eigen.eigenvalues.iter_mut().for_each(|own| *own = 1.0 / (1.0 - *own).max(LEAST_OTHERS));
@@ -116,26 +119,26 @@ impl Cluster {
     }
 }
 
-/// Where the other clusters say less than this part of what all say, nothing can be learned from
-/// leaving one out.
+/// A lower limit on the part of the information that comes from the other clusters. Below it,
+/// leaving a cluster out shows nothing.
 const LEAST_OTHERS: f64 = 0.1;
 
-/// Degrees of freedom that few clusters are taken for at least: with fewer, Student's t has no
+/// The least degrees of freedom that are assumed for few clusters: with fewer, Student's t has no
 /// variance.
 const LEAST_FREEDOM: f64 = 3.0;
 
-/// What clusters show.
+/// The scatter of clusters.
 struct ClusterSpread {
     covariance: DMatrix<f64>,
-    /// The factor on variances because it is estimated from few clusters: the variance of Student's
-    /// t for as many.
+    /// The factor on variances for their estimation from few clusters: the variance of Student's t
+    /// with as many degrees of freedom.
     wider: f64,
 }
 
-/// The clustered covariance, in the frame of whitened parameters, where observations say
-/// `observed`. Few clusters say little of single directions: the matrix is drawn towards its mean
-/// by the part that the number of parameters has of parameters and clusters. `None` of fewer than
-/// two clusters.
+/// The clustered covariance, in whitened parameters; `observed` is the covariance with independent
+/// errors. Few clusters determine single directions poorly, so the matrix is shrunk towards a
+/// multiple of `observed`. The weight of the latter is the number of parameters over that of
+/// parameters and degrees of freedom. `None` of fewer than two clusters.
 fn clustered(clusters: &[Cluster], observed: &DMatrix<f64>) -> Option<ClusterSpread> {
     let lens = clusters[0].pull.len();
     let used = clusters.iter().filter(|cluster| cluster.expected.trace() > 0.0).count() as f64;
@@ -160,7 +163,7 @@ fn clustered(clusters: &[Cluster], observed: &DMatrix<f64>) -> Option<ClusterSpr
     is_finite.then_some(ClusterSpread { covariance, wider })
 }
 
-/// The region of the image that `pixel` lies in.
+/// The region of the image that contains `pixel`.
 fn region(pixel: Pixel, size: ImageSize) -> usize {
     let cell = |at: f64, length: u32| {
         let part = at / f64::from(length.max(1));
@@ -169,11 +172,11 @@ fn region(pixel: Pixel, size: ImageSize) -> usize {
     cell(pixel.y, size.height) * REGIONS + cell(pixel.x, size.width)
 }
 
-/// What one observation does to the lens, its point eliminated.
+/// The effect of one observation on the lens, its point eliminated.
 struct ImageInfluence {
-    /// Whitened lens parameters by the residual.
+    /// Whitened lens parameters per residual.
     by_residual: Matrix2xX<f64>,
-    /// I − Jp V⁻¹ Jpᵀ: the part of a residual that the point leaves.
+    /// I − Jp V⁻¹ Jpᵀ: the part of a residual that remains after the point is fitted.
     kept: Matrix2<f64>,
 }
 

@@ -1,31 +1,32 @@
-//! How well the images determine the lens: the covariance of the lens from that of everything, and
-//! from what observations that err together do to it.
+//! How well the images determine the lens: its covariance, everything else marginalized, with the
+//! effect of errors that observations have in common.
 
 use nalgebra::{DMatrix, SymmetricEigen};
 
 use crate::estimation::scene::bundle::{Bundle, CameraMotion, SceneState};
 use crate::estimation::scene::clusters::SharedErrors;
 
-/// What is known of the lens.
+/// The uncertainty of the lens.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LensCovariance {
-    /// Of the free parameters, in their order, in squared pixels and so on; with everything below.
+    /// The covariance of the free parameters, in their order, in squared pixels and so on. It
+    /// includes common errors.
     pub matrix: DMatrix<f64>,
-    /// What it is if each observation errs by itself, with the standard deviations that it has.
+    /// The covariance if each observation has an independent error of its stated standard
+    /// deviation.
     pub independent: DMatrix<f64>,
-    /// The factor on the variances because observations err together, the mean over all directions,
-    /// 1 or more.
+    /// Variance inflation by common errors: the mean factor over all directions, 1 or more.
     pub shared: f64,
-    /// What of `shared` the observations' standard deviations have in them.
+    /// The part of `shared` that the observations' standard deviations already include.
     pub widened: f64,
 }
 
 /// The covariance of the lens at the minimum `state` of `bundle`, whose observations have standard
-/// deviations √`widened` times their true ones; `None` where something is not determined at all.
+/// deviations √`widened` times their true ones; `None` where a parameter is not determined at all.
 ///
-/// Observations err together by image (motion blur, rolling shutter), by part of the scene (what
-/// moves, surfaces seen at a slant, edges before a background, wrong matches) and by region of the
-/// image (what the lens model does not follow).
+/// Observations have errors in common by image (motion blur, rolling shutter), by part of the scene
+/// (moving objects, slanted surfaces, edges before a background, wrong matches) and by region of
+/// the image (where the lens model does not fit).
 pub fn lens_covariance(
     bundle: &Bundle,
     state: &SceneState,
@@ -53,7 +54,8 @@ pub fn lens_covariance(
         steps.row_mut(*column).copy_from(&whitened.row(row));
     }
     let errors = SharedErrors::of(bundle, state, &steps, widened);
-    // Priors say what they say; observations by themselves say more than their deviations do.
+    // The priors' part stays as it is. That of independent errors is smaller than stated, by
+    // `widened`.
     let least = 1.0 / widened;
     let known = DMatrix::identity(lens, lens) - &errors.observed * (1.0 - least) + &errors.excess;
     let mut known = SymmetricEigen::new(known);
@@ -63,15 +65,15 @@ pub fn lens_covariance(
     Some(LensCovariance { matrix, independent, shared, widened })
 }
 
-/// All parameters but the one that fixes the scene's scale.
+/// All parameters except the one that fixes the scene's scale.
 fn kept_parameters(bundle: &Bundle, state: &SceneState) -> Vec<usize> {
     let fixed = scale_parameter(bundle, state);
     let size = bundle.size(state.cameras_from_scene.len());
     (0..size).filter(|k| Some(*k) != fixed).collect()
 }
 
-/// The parameter that fixes the scene's scale: the longest coordinate of the translation of the
-/// camera farthest from the first. `None` where there is no scale.
+/// The parameter that is held to fix the scene's scale: the largest coordinate of the translation
+/// of the camera farthest from the first. `None` where there is no scale.
 pub(super) fn scale_parameter(bundle: &Bundle, state: &SceneState) -> Option<usize> {
     let first = state.cameras_from_scene[0];
     let distance = |k: &usize| {

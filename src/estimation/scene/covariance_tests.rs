@@ -31,7 +31,7 @@ fn normal(random: &mut ChaCha8Rng) -> f64 {
     random.sample(StandardNormal)
 }
 
-/// Cameras around a scene, and what each sees of it, without errors.
+/// Cameras around a scene, without errors.
 fn scene(random: &mut ChaCha8Rng) -> SceneState {
     let parameters = [600.0, 600.0, 322.0, 236.0, 0.0, -0.1];
     let lens = Lens::from_parameters(LensModel::Radial, &parameters).unwrap();
@@ -51,8 +51,8 @@ fn scene(random: &mut ChaCha8Rng) -> SceneState {
     }
 }
 
-/// Errors of one scene: each observation's own and, times `shared`, errors of the focal length that
-/// each part of the scene has for itself, by its depth in each camera.
+/// Observations of one scene with independent errors and, times `shared`, an error of the focal
+/// length for each part of the scene, which acts by its depth in each camera.
 fn observed(truth: &SceneState, shared: f64, random: &mut ChaCha8Rng) -> Bundle {
     let of_part: Vec<f64> = (0..PARTS).map(|_| shared * normal(random)).collect();
     let parts = scene_parts(&truth.points);
@@ -62,7 +62,8 @@ fn observed(truth: &SceneState, shared: f64, random: &mut ChaCha8Rng) -> Bundle 
         for (camera, pose) in truth.cameras_from_scene.iter().enumerate() {
             let in_camera = *pose * *point;
             let exact = truth.lens.pixel_from_point(&in_camera).unwrap();
-            // Perspective grows with depth: a part that seems seen by another focal length.
+            // Perspective that grows with depth: the part appears to be seen with another focal
+            // length.
             let by = of_part[part] * (in_camera.z / DISTANCE - 1.0);
             let pixel = Pixel::new(
                 exact.x + by * (exact.x - center.cx) + NOISE_PX * normal(random),
@@ -83,8 +84,8 @@ fn observed(truth: &SceneState, shared: f64, random: &mut ChaCha8Rng) -> Bundle 
     }
 }
 
-/// The root mean square over all scenes of each free parameter's error over its stated standard
-/// deviation, and over that of observations that err by themselves.
+/// The root mean square over all scenes of each free parameter's error, in units of its stated
+/// standard deviation, and of that for independent errors.
 fn errors_in_std(shared: f64) -> [[f64; FREE.len()]; 2] {
     let mut squares = [[0.0; FREE.len()]; 2];
     for seed in 0..SCENES {
@@ -110,7 +111,7 @@ fn observations_that_err_by_themselves_have_the_stated_scatter() {
     let [stated, independent] = errors_in_std(0.0);
     // The root mean square of 60 is known to 9 %.
     assert!(independent.iter().all(|z| (0.8..1.2).contains(z)), "{independent:.2?}");
-    // What few clusters seem to show by chance widens only.
+    // Chance differences between few clusters can only widen it.
     assert!(stated.iter().all(|z| (0.65..1.2).contains(z)), "{stated:.2?}");
 }
 

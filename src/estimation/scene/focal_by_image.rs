@@ -1,5 +1,5 @@
-//! The focal length of each image by itself: the problem in which each image has a factor on the
-//! focal length of its own. Of one camera with one lens setting all factors are 1 but for their
+//! The focal length of each image by itself: a problem in which each image has its own factor on
+//! the focal length. For one camera with one lens setting all factors are 1, except for their
 //! noise.
 
 use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, Vector2, Vector3};
@@ -12,31 +12,32 @@ use crate::estimation::scene::robust_bundle::{CAUCHY, fit_robustly};
 use crate::geometry::lens::{Lens, MAX_PARAMETERS};
 use crate::geometry::pixel::Pixel;
 
-/// What each image says of its focal length.
+/// The focal length that each image shows.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FocalByImage {
-    /// The logarithm of the image's focal length over that of all, by pose.
+    /// Per pose, the logarithm of the image's focal length over the common one.
     pub log_ratios: DVector<f64>,
-    /// Their covariance, which leaves open what all share.
+    /// Their covariance. A common change of all is not determined.
     pub covariance: DMatrix<f64>,
 }
 
-/// The standard deviation of each logarithm beforehand: a factor of e, which is nothing. It keeps
-/// the problem solvable where the focal length of all is estimated too.
+/// The prior standard deviation of each logarithm: a factor of e, which is hardly a constraint. It
+/// keeps the problem solvable where the common focal length is estimated too.
 const OPEN: f64 = 1.0;
 
-/// A guard: fits end before where a step is below [`SETTLED`]. Images enlarged by up to 1.3 have
-/// the focal length that they show after as many.
+/// A limit for safety: fits end earlier, where a step is below [`SETTLED`]. Images enlarged by up
+/// to 1.3 reach the focal length that they show within as many fits.
 const FITS: usize = 4;
 
-/// A step of all logarithms below this is the last: a fifth of the least difference that is named.
+/// The fits end where a step of all logarithms is below this: a fifth of the least difference that
+/// is reported.
 const SETTLED: f64 = 1e-3;
 
 const FITTING: BundleStop = BundleStop { max_steps: 30, least_decrease: 1e-3 };
 
-/// The focal lengths that the images show where they may be far from one, beginning near `state`;
-/// `bundle` has all observations, also those that one focal length makes wrong. Each image is
-/// scaled about the principal point to the mean focal length, until that changes nothing.
+/// The focal lengths that the images show where they may differ by much, starting from `state`.
+/// `bundle` has all observations, including those that are outliers for a common focal length. Each
+/// image is scaled about the principal point to the mean focal length, until nothing changes.
 pub fn separate_focals(bundle: &Bundle, state: &SceneState) -> Option<FocalByImage> {
     let mut scaled = bundle.clone();
     let mut state = state.clone();
@@ -45,7 +46,8 @@ pub fn separate_focals(bundle: &Bundle, state: &SceneState) -> Option<FocalByIma
         scaled.rescaled(scaled.median_noise(&state));
         scaled.robust_limit = CAUCHY;
         state = scaled.minimize(state, FITTING);
-        // What was off may be near now: wrong observations count little only beside the true noise.
+        // Observations may fit better now: outliers have little weight only relative to the true
+        // noise.
         scaled.rescaled(scaled.median_noise(&state));
         let step = focal_by_image(&scaled, &state)?.log_ratios;
         let step = step.add_scalar(-step.mean());
@@ -62,7 +64,7 @@ pub fn separate_focals(bundle: &Bundle, state: &SceneState) -> Option<FocalByIma
     Some(FocalByImage { log_ratios: log_ratios + found.log_ratios, ..found })
 }
 
-/// The observations of `bundle` as they were if all its images had one focal length.
+/// Sets the observations to those of `bundle` as they would be if all images had one focal length.
 fn scale_images(
     scaled: &mut Bundle,
     bundle: &Bundle,
@@ -123,8 +125,8 @@ pub fn focal_by_image(bundle: &Bundle, state: &SceneState) -> Option<FocalByImag
     log_ratios.iter().all(|v| v.is_finite()).then_some(FocalByImage { log_ratios, covariance })
 }
 
-/// The columns of one observation, each with its index among all parameters: lens, pose, own focal
-/// length.
+/// The columns of one observation, each with its index among all parameters: lens, pose, the
+/// image's own focal length.
 struct RowColumns(Vec<(usize, Vector2<f64>)>);
 
 impl RowColumns {
@@ -141,7 +143,7 @@ impl RowColumns {
     }
 }
 
-/// Adds the rows of a point, the point eliminated, to the lower triangle.
+/// Adds the rows of a point to the lower triangle, and eliminates the point.
 fn add_point(
     bundle: &Bundle,
     state: &SceneState,
@@ -212,7 +214,7 @@ mod tests {
     fn an_image_of_another_focal_length_is_found() {
         let (mut bundle, truth) = exact();
         bundle.free = vec![Lens::FX, Lens::FY];
-        // As exact as it takes for priors to say nothing beside: they know fx / fy to 0.2 %.
+        // So precise that priors do not matter: they know fx / fy to 0.2 %.
         bundle.observations.iter_mut().flatten().for_each(|seen| seen.inverse_std *= 1e3);
         enlarged(&mut bundle, &truth, 2, 1.0002);
         let stop = BundleStop { max_steps: 60, least_decrease: 1e-12 };
@@ -221,7 +223,7 @@ mod tests {
         let others = [0, 1, 3].map(|k| found.log_ratios[k]);
         let mean = others.iter().sum::<f64>() / 3.0;
         let larger = found.log_ratios[2] - mean;
-        // One step is exact to the second order of what is off, which weak geometry amplifies.
+        // One step is exact to second order in the error, which weak geometry amplifies.
         assert!((larger - 2e-4).abs() < 1e-5, "{found:?}");
         assert!(others.iter().all(|other| (other - mean).abs() < 1e-5), "{found:?}");
     }

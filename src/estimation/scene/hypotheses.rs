@@ -1,5 +1,5 @@
-//! Which focal length to begin with: each that is likely is tried on the longest tracks, and the
-//! one that explains most of them is taken.
+//! The focal length to start with: each likely one is tried on the longest tracks, and the one that
+//! explains most of them is used.
 
 use crate::estimation::scene::bundle::BundleStop;
 use crate::estimation::scene::problem::{SceneProblem, Track};
@@ -10,17 +10,18 @@ use crate::geometry::lens::{Lens, LensModel};
 /// Tracks on which focal lengths are tried.
 const TRIED_TRACKS: usize = 400;
 
-/// Focal lengths tried besides the likely ones, over the longer side: 80, 45, 26 and 14 degrees
-/// wide. A descent reaches from one to the next.
+/// Focal lengths tried in addition to the likely ones, over the longer side: fields of view of 80,
+/// 45, 26 and 14 degrees. Iterations from one reach as far as the next.
 const TRIED_FOCALS: [f64; 4] = [0.6, 1.2, 2.2, 4.0];
 
-/// Votes for a focal length that count.
+/// How many of the best votes for a focal length are tried.
 const VOTES: usize = 2;
 
-/// Two focal lengths nearer than this ratio are one hypothesis.
+/// Two focal lengths within this ratio are one hypothesis.
 const SAME: f64 = 1.25;
 
-/// An observation that is not explained counts as one this many standard deviations off.
+/// An unexplained observation costs as much as one with a residual of this many standard
+/// deviations.
 const UNEXPLAINED: f64 = 10.0;
 
 /// Cauchy's limit in the comparison, in expected standard deviations.
@@ -28,8 +29,8 @@ const ROBUST_LIMIT: f64 = 3.0;
 
 const TRYING: BundleStop = BundleStop { max_steps: 25, least_decrease: 1e-3 };
 
-/// The reconstruction of all tracks from the focal length that explains the longest tracks best;
-/// `given` is tried alone. `None` where nothing can be begun.
+/// The reconstruction of all tracks from the focal length that explains the longest tracks best. If
+/// `given`, only that one is tried. `None` where no reconstruction can be started.
 pub fn reconstruct_best(
     problem: &SceneProblem,
     pairs: &[ImagePair],
@@ -60,7 +61,8 @@ fn hypotheses(problem: &SceneProblem, pairs: &[ImagePair]) -> Vec<f64> {
     focals
 }
 
-/// A lens with this focal length after a descent, and the mean loss of all observations.
+/// A lens that starts from this focal length after bundle adjustment, and the mean loss of all
+/// observations.
 fn tried(few: &SceneProblem, pairs: &[ImagePair], focal: f64) -> Option<(Lens, f64)> {
     let center = few.image_size.center();
     let parameters = [focal, focal, center.x, center.y, 0.0, 0.0];

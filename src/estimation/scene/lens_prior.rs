@@ -1,31 +1,32 @@
-//! What is known of a lens before any image: held against parameters that the images hardly
-//! determine, too weak to move one that they do.
+//! The prior of a lens before any image. It constrains parameters that the images hardly determine,
+//! and is too weak to change those that they do.
 
 use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pixel::ImageSize;
 
-/// The standard deviation of the principal point from the image's middle, over the image's width:
-/// what sensors and lenses are mounted to.
+/// The standard deviation of the principal point about the image's center, over the image's width:
+/// the tolerance in mounting sensors and lenses.
 const MOUNTED_STD: f64 = 0.02;
 
-/// The same where images may be cropped, or rectified for another camera beside: what remains of a
-/// half to all of an image, from anywhere in it, has its middle within 0.5 of its width from that
+/// The same where images may be cropped, or rectified with those of another camera. A crop of a
+/// half to all of an image, from anywhere in it, has its center within 0.5 of its width from that
 /// of the whole, and within 0.2 in the root mean square.
 const CROPPED_STD: f64 = 0.2;
 
-/// The standard deviation of fy / fx from 1: pixels are square but for how images were resampled.
+/// The standard deviation of fy / fx about 1: pixels are square, except for how images were
+/// resampled.
 const ASPECT_STD: f64 = 0.002;
 
 /// Independent Gaussian priors on a lens's parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LensPrior {
-    /// The image.
+    /// The size of the image.
     pub image_size: ImageSize,
-    /// Whether the image may be a part of the camera's.
+    /// Whether the image may be a crop of the camera's.
     pub cropped: bool,
 }
 
-/// One thing a prior says: a residual in standard deviations, and its derivative by parameters (in
+/// One term of a prior: a residual in standard deviations, and its derivatives by parameters (in
 /// the order of [`Lens::parameters`]).
 #[derive(Debug, Clone, PartialEq)]
 pub struct PriorTerm {
@@ -36,7 +37,7 @@ pub struct PriorTerm {
 }
 
 impl LensPrior {
-    /// Of a camera's own images.
+    /// For images that are not cropped.
     pub const fn of_whole(image_size: ImageSize) -> Self {
         Self { image_size, cropped: false }
     }
@@ -46,8 +47,8 @@ impl LensPrior {
         f64::from(self.image_size.width) * if self.cropped { CROPPED_STD } else { MOUNTED_STD }
     }
 
-    /// The standard deviation of each parameter before any image, in the order of
-    /// [`Lens::parameters`]; infinite for the focal lengths.
+    /// The prior standard deviation of each parameter, in the order of [`Lens::parameters`];
+    /// infinite for the focal lengths.
     pub fn std(&self, model: LensModel) -> Vec<f64> {
         let center = self.center_std_px();
         let mut std = vec![f64::INFINITY, f64::INFINITY, center, center, 0.0];
@@ -55,7 +56,7 @@ impl LensPrior {
         std
     }
 
-    /// The most likely value of each parameter before any image; the focal lengths' are 0.
+    /// The prior mean of each parameter; 0 for the focal lengths, which have none.
     pub fn mean(&self, model: LensModel) -> Vec<f64> {
         let middle = self.image_size.center();
         let mut mean = vec![0.0, 0.0, middle.x, middle.y, 0.0];
@@ -63,7 +64,7 @@ impl LensPrior {
         mean
     }
 
-    /// What it says about `lens`.
+    /// The prior's terms at `lens`.
     pub fn terms(&self, lens: &Lens) -> Vec<PriorTerm> {
         let (parameters, std) = (lens.parameters(), self.std(lens.model()));
         let mean = self.mean(lens.model());

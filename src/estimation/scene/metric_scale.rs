@@ -1,11 +1,11 @@
 //! The scale of a reconstruction from measured depth: how many meters a unit of the scene is.
 //!
-//! Each reading compares a measured depth z with that of a scene point. A depth camera errs in 1/z,
-//! by an offset b above all, so that the logarithm of the ratio is s − b z: what grows with z is
-//! the camera's, and the rest the scale. Readings of one image share the error of its pose, those
-//! of one part of the scene the errors of its points, those of one region of the depth image the
-//! depth camera's: the standard deviation follows from how much these differ, not from the number
-//! of readings.
+//! Each reading compares a measured depth z with that of a scene point. The error of a depth camera
+//! is mainly an offset b of 1/z, so the logarithm of the ratio is s − b z: the part that grows with
+//! z is the camera's error, and the rest is the scale. Readings of one image share the error of its
+//! pose, those of one part of the scene the errors of its points, those of one region of the depth
+//! image the depth camera's error. So the standard deviation follows from the differences between
+//! these, not from the number of readings.
 
 use std::collections::BTreeMap;
 
@@ -17,9 +17,9 @@ use crate::geometry::median::{STD_PER_MAD, median};
 /// One comparison of a measured depth with a reconstructed one.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ScaleReading {
-    /// The logarithm of the measured depth, in meters, over that of the point.
+    /// The logarithm of the measured depth, in meters, over the depth of the point.
     pub log_ratio: f64,
-    /// The standard deviation of that, as far as it is known: readings weigh by it.
+    /// Its standard deviation, as far as it is known: the weight of the reading.
     pub std: f64,
     /// The measured depth.
     pub depth_m: f64,
@@ -31,32 +31,33 @@ pub struct ScaleReading {
     pub region: usize,
 }
 
-/// What readings say together.
+/// The scale from all readings.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ScaleEstimate {
-    /// The logarithm of the ratio, without what grows with depth.
+    /// The logarithm of the ratio, without the part that grows with depth.
     pub log_ratio: f64,
-    /// Its standard deviation: of the scale, as a part of itself.
+    /// Its standard deviation, which is the relative standard deviation of the scale.
     pub relative_std: f64,
     /// The offset of the depth camera's 1/z, in 1/m.
     pub offset_per_m: f64,
     /// The standard deviation of one reading's ratio, from their median absolute deviation.
     pub robust_std: f64,
-    /// How many readings are no outliers.
+    /// Number of inlier readings.
     pub readings: usize,
-    /// In how many images.
+    /// Number of images with inlier readings.
     pub views: usize,
 }
 
-/// Readings that are off by more standard deviations are outliers: of normal ones, one in 370.
+/// Readings with a larger residual, in standard deviations, are outliers: of normal ones, one in
+/// 370.
 const OUTLIER: f64 = 3.0;
-/// How often the line is fitted to what it leaves as inliers.
+/// How often the line is fitted to its inliers.
 const FITS: usize = 5;
-/// The standard deviation of a depth camera's offset before anything is measured, in 1/m: stereo
-/// cameras are sold as within 2 % at 2 m, which are two of these.
+/// The prior standard deviation of a depth camera's offset, in 1/m: stereo cameras are sold as
+/// within 2 % at 2 m, which are two of these.
 const OFFSET_STD_PER_M: f64 = 0.005;
 
-/// The scale that `readings` of these `points` give; `None` of fewer than two images.
+/// The scale by `readings` of these `points`; `None` of fewer than two images.
 ///
 /// The covariance is the clustered one (K.-Y. Liang and S. L. Zeger, 1986) by image, by part of the
 /// scene and by region of the depth image, each way's excess added (A. C. Cameron, J. Gelbach and
@@ -75,7 +76,7 @@ pub fn metric_scale(readings: &[ScaleReading], points: &[Point3<f64>]) -> Option
         (line, inverse) = Line::through(&kept)?;
     }
     let covariance = clustered_covariance(&kept, &line, &inverse, points)?;
-    // What is known of offsets beforehand: a measurement of it that says 0.
+    // The prior of the offset, as a measurement of 0.
     let gain = covariance.column(1) / (covariance[(1, 1)] + OFFSET_STD_PER_M.powi(2));
     let updated = Vector2::new(line.scale, line.offset) - gain * line.offset;
     let variance = covariance[(0, 0)] - gain[0] * covariance[(0, 1)];
@@ -92,7 +93,7 @@ pub fn metric_scale(readings: &[ScaleReading], points: &[Point3<f64>]) -> Option
     })
 }
 
-/// The logarithm of the ratio by depth.
+/// The logarithm of the ratio as a function of depth.
 #[derive(Debug, Clone, Copy)]
 struct Line {
     scale: f64,
@@ -105,7 +106,7 @@ struct Line {
 const LEAST_INFORMATION: f64 = 1.0;
 
 impl Line {
-    /// What it leaves of a reading.
+    /// The residual of a reading.
     fn left(&self, reading: &ScaleReading) -> f64 {
         reading.log_ratio - self.scale + self.offset * reading.depth_m
     }
@@ -125,12 +126,12 @@ impl Line {
     }
 }
 
-/// What scale and offset do to a reading.
+/// The derivatives of a reading by scale and offset.
 fn terms(reading: &ScaleReading) -> Vector2<f64> {
     Vector2::new(1.0, -reading.depth_m)
 }
 
-/// Of scale and offset; `None` of fewer than two images.
+/// The covariance of scale and offset; `None` of fewer than two images.
 fn clustered_covariance(
     readings: &[&ScaleReading],
     line: &Line,
@@ -150,7 +151,7 @@ fn clustered_covariance(
         by(&|reading| parts[reading.point]),
         by(&|reading| reading.region),
     ];
-    // What readings leave open of the offset is as wide as that information has it.
+    // Where readings do not determine the offset, its variance is that of the weak prior.
     let open = inverse.column(1);
     let mut total = independent + open * open.transpose() * LEAST_INFORMATION;
     for way in ways.into_iter().flatten() {
@@ -162,15 +163,14 @@ fn clustered_covariance(
     Some(total)
 }
 
-/// The covariance of the sum of pulls that err together where their cluster is the same; `None` of
-/// one cluster.
+/// The covariance of the sum of pulls, with errors common to each cluster; `None` of one cluster.
 fn clustered(pulls: impl Iterator<Item = (usize, Vector2<f64>)>) -> Option<Matrix2<f64>> {
     let mut sums = BTreeMap::<usize, Vector2<f64>>::new();
     for (cluster, pull) in pulls {
         *sums.entry(cluster).or_insert_with(Vector2::zeros) += pull;
     }
     let clusters = sums.len() as f64;
-    // The fit has taken up one of the clusters' freedoms.
+    // The fit has used one degree of freedom of the clusters.
     let small = clusters / (clusters - 1.0);
     let squares: Matrix2<f64> = sums.values().map(|sum| sum * sum.transpose()).sum();
     (clusters > 1.0).then(|| squares * small)
@@ -186,8 +186,8 @@ mod tests {
 
     const VIEWS: usize = 12;
 
-    /// Readings with noise of their own, of their view and of their region, every seventh wrong, of
-    /// a depth camera with an offset.
+    /// Readings by a depth camera with an offset, with independent noise and noise of their view
+    /// and of their region; every seventh is an outlier.
     fn readings(seed: u64, [own, of_view, of_region]: [f64; 3]) -> Vec<ScaleReading> {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut normal = || -> f64 { random.sample(StandardNormal) };

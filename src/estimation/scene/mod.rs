@@ -1,5 +1,5 @@
-//! A camera's lens, its poses and the scene's points from points seen in many images, nothing of
-//! the scene known (HZ chapters 18 and 19).
+//! A camera's lens, its poses and the scene's points from points observed in many images of an
+//! unknown scene (HZ chapters 18 and 19).
 //!
 //! ```text
 //! tracks --reconstruction--> poses, points and a first lens, image by image (resection)
@@ -7,9 +7,10 @@
 //!        --covariance--> what of the lens the images determine, and how well
 //! ```
 //!
-//! Lengths have no unit: the scene's frame is that of the first used camera, and the greatest
-//! distance between two cameras is 1, unless depth was measured too ([`metric_scale`]). What images
-//! hardly determine is held by stated priors ([`lens_prior`]).
+//! Lengths have no unit: the scene's frame is that of the first used camera, and its scale is that
+//! of the first pair. Results are scaled later (`calibration/scene`), to 1 for the greatest
+//! distance between two cameras, or to meters where depth was measured too ([`metric_scale`]).
+//! Parameters that images hardly determine are constrained by stated priors ([`lens_prior`]).
 
 pub mod bundle;
 #[cfg(test)]

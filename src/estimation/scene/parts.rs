@@ -1,16 +1,16 @@
-//! Parts of a scene: what is near each other, as a thing or a surface is.
+//! Parts of a scene: groups of neighboring points, such as those of an object or a surface.
 
 use nalgebra::Point3;
 
-/// How often the scene is halved into parts whose points are one cluster each: 32 parts are many
-/// enough to estimate what they differ by, and large enough to hold a thing or a surface.
+/// How often the scene is halved into parts, whose points are one cluster each. 32 parts are enough
+/// to estimate the scatter between them, and each is large enough to hold an object or a surface.
 const HALVINGS: u32 = 5;
 
-/// How many parts that makes.
+/// The number of parts.
 pub(super) const PARTS: usize = 1 << HALVINGS;
 
-/// The part of the scene that each point lies in: the scene is halved at the median of its longest
-/// extent, the halves likewise, and so on.
+/// The part of the scene that contains each point. The scene is halved at the median along its
+/// longest extent, and so is each half, and so on.
 pub(super) fn scene_parts(points: &[Point3<f64>]) -> Vec<usize> {
     let mut parts = vec![0; points.len()];
     let mut split: Vec<Vec<usize>> = vec![(0..points.len()).collect()];
@@ -23,7 +23,7 @@ pub(super) fn scene_parts(points: &[Point3<f64>]) -> Vec<usize> {
     parts
 }
 
-/// Both halves of a part of the scene.
+/// The two halves of a part of the scene.
 fn halved(points: &[Point3<f64>], mut part: Vec<usize>) -> [Vec<usize>; 2] {
     let extent = |axis: &usize| {
         let (low, high) = part

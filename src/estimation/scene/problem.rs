@@ -1,22 +1,22 @@
-//! Scene points seen in images.
+//! The problem: scene points observed in images.
 
 use crate::estimation::interrupt::Interrupt;
 use crate::geometry::pixel::{ImageSize, Pixel};
 
-/// A scene point in one image.
+/// The observation of a scene point in one image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrackPoint {
-    /// Which image.
+    /// The image, by index.
     pub image: usize,
-    /// Where.
+    /// Where the point was observed.
     pub pixel: Pixel,
-    /// The size of what is seen there: the standard deviation of a Gaussian, in pixels.
+    /// The scale of the feature there: the standard deviation of a Gaussian, in pixels.
     pub scale_px: f64,
-    /// Expected standard deviation of each coordinate in pixels, up to a factor that all share.
+    /// The expected standard deviation of each coordinate in pixels, up to a factor common to all.
     pub std_px: f64,
 }
 
-/// One scene point: where it is seen, at most once an image, by image.
+/// The observations of one scene point: at most one per image, in the order of the images.
 pub type Track = Vec<TrackPoint>;
 
 /// Images of a static scene by one camera with a fixed lens.
@@ -24,10 +24,10 @@ pub type Track = Vec<TrackPoint>;
 pub struct SceneProblem {
     /// The size of all images.
     pub image_size: ImageSize,
-    /// How many images there are.
+    /// Number of images.
     pub images: usize,
     /// The scene points.
     pub tracks: Vec<Track>,
-    /// Ends what is computed of it early, when nobody waits for it any more.
+    /// Ends computations early.
     pub interrupt: Interrupt,
 }

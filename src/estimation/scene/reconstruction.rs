@@ -1,5 +1,5 @@
-//! Poses and points image by image: two images first, then each time the image that sees most of
-//! the points known so far (HZ section 18.6; J. Schönberger and J.-M. Frahm,
+//! Incremental reconstruction of poses and points: from two images first, then by adding the image
+//! that observes most of the points known so far (HZ section 18.6; J. Schönberger and J.-M. Frahm,
 //! *Structure-from-motion revisited*, 2016).
 
 use nalgebra::{Matrix3, Point2, Point3};
@@ -27,16 +27,16 @@ pub struct ImagePair {
     pub second: usize,
     /// x₂ᵀ F x₁ = 0.
     pub fundamental: Matrix3<f64>,
-    /// The matches that agree on it.
+    /// The inlier matches.
     pub matches: Vec<PointPair>,
 }
 
-/// Cameras and points with what they are known from.
+/// Cameras and points, with the observations that determine them.
 #[derive(Debug, Clone)]
 pub struct Reconstruction {
     /// The image of each pose of the state.
     pub images: Vec<usize>,
-    /// The fit, observations with their expected standard deviations.
+    /// The bundle, its observations with their expected standard deviations.
     pub bundle: Bundle,
     /// Lens, poses, points.
     pub state: SceneState,
@@ -45,25 +45,24 @@ pub struct Reconstruction {
 /// The least angle between two rays to a new point, in radians: 1.5 degrees (COLMAP's).
 const LEAST_PARALLAX: f64 = 1.5 * std::f64::consts::PI / 180.0;
 
-/// The median angle that a first pair should have; beyond it more is no better.
+/// The median angle that a first pair should have. A larger angle is no advantage.
 const GOOD_PARALLAX: f64 = 8.0 * std::f64::consts::PI / 180.0;
 
-/// A first pair with less has no depth to begin with, in radians.
+/// Below this median angle, in radians, a first pair does not determine depth.
 const NO_PARALLAX: f64 = 0.7 * std::f64::consts::PI / 180.0;
 
-/// A point may be this far from where it is seen, in pixels, to be kept while poses are rough.
+/// The largest reprojection error, in pixels, of a point that is kept while poses are rough.
 const ROUGH_PX: f64 = 6.0;
 
-/// Known points that an image must agree on.
+/// The least number of inliers, among known points, for the pose of an image.
 const LEAST_RESECTED: usize = 15;
 
-/// Pairs tried as the first.
+/// How many pairs are tried as the first.
 const FIRST_PAIRS: usize = 6;
 
 const GROWING: BundleStop = BundleStop { max_steps: 8, least_decrease: 1e-3 };
 
-/// The reconstruction from the pair of images that starts it best, or `None` where no pair shows
-/// depth.
+/// The reconstruction from the best first pair of images; `None` where no pair determines depth.
 pub fn reconstruct(
     problem: &SceneProblem,
     pairs: &[ImagePair],
@@ -89,7 +88,8 @@ impl<'a> Growing<'a> {
         let mut by_size: Vec<&ImagePair> = pairs.iter().collect();
         by_size.sort_by_key(|pair| std::cmp::Reverse(pair.matches.len()));
         let mut candidates: Vec<(f64, &ImagePair, Pose)> = Vec::new();
-        // Wide pairs have fewer matches than narrow ones: try the widest of the large too.
+        // Wide pairs have fewer matches than narrow ones, so more pairs are considered than are
+        // tried.
         for pair in by_size.iter().take(4 * FIRST_PAIRS) {
             let Some((second_from_first, angle)) = relative_pose(pair, &lens) else { continue };
             if angle > NO_PARALLAX {
@@ -150,7 +150,7 @@ impl<'a> Growing<'a> {
         }
     }
 
-    /// The image that sees most of the known points.
+    /// The image that observes most of the known points.
     fn next_image(&self, refused: &[usize]) -> Option<usize> {
         let count = |image: usize| {
             self.tracks_of[image].iter().filter(|(track, _)| self.points[*track].is_some()).count()
@@ -240,7 +240,7 @@ impl<'a> Growing<'a> {
     }
 }
 
-/// The pose of a pair, and the median angle between the rays to its points.
+/// The relative pose of a pair, and the median angle between the rays to its points.
 fn relative_pose(pair: &ImagePair, lens: &Lens) -> Option<(Pose, f64)> {
     let e = essential_from_fundamental(&pair.fundamental, lens.matrix, lens.matrix);
     let normalized = |pixel: Point2<f64>| {

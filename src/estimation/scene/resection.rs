@@ -1,5 +1,5 @@
-//! Where a camera with a known lens stood, from known points: three points and their directions,
-//! then all that agree.
+//! Resection: the pose of a camera with a known lens from known points. Minimal samples of three
+//! points in RANSAC, then all inliers.
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
@@ -11,18 +11,18 @@ use crate::geometry::lens::Lens;
 use crate::geometry::pixel::{Bearing, ImageSize, Pixel};
 use crate::geometry::pose::Pose;
 
-/// A known point and the pixel that shows it.
+/// A known point and its pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PointInImage {
     /// In the scene's frame.
     pub point: Point3<f64>,
-    /// Where it is seen.
+    /// Where it was observed.
     pub pixel: Pixel,
 }
 
-/// The up to four poses `camera_from_scene` that see three points along three bearings (J. Grunert,
-/// 1841, as in R. Haralick et al., *Review and analysis of solutions of the three point perspective
-/// pose estimation problem*, 1994, equations 9 and 10).
+/// The up to four poses `camera_from_scene` in which three points lie along three bearings (J.
+/// Grunert, 1841, as in R. Haralick et al., *Review and analysis of solutions of the three point
+/// perspective pose estimation problem*, 1994, equations 9 and 10).
 pub fn poses_from_three(points: &[Point3<f64>; 3], bearings: &[Bearing; 3]) -> Vec<Pose> {
     let square = |i: usize, j: usize| (points[i] - points[j]).norm_squared();
     let (a2, b2, c2) = (square(1, 2), square(0, 2), square(0, 1));
@@ -56,7 +56,7 @@ pub fn poses_from_three(points: &[Point3<f64>; 3], bearings: &[Bearing; 3]) -> V
     real_roots(&quartic).into_iter().filter_map(pose).collect()
 }
 
-/// The rigid motion that takes three points to three others of the same triangle.
+/// The rigid motion that maps three points to those of a congruent triangle.
 fn aligned(from: &[Point3<f64>; 3], to: &[Point3<f64>; 3]) -> Option<Pose> {
     let frame = |p: &[Point3<f64>; 3]| {
         let x = (p[1] - p[0]).try_normalize(1e-12)?;
@@ -67,8 +67,8 @@ fn aligned(from: &[Point3<f64>; 3], to: &[Point3<f64>; 3]) -> Option<Pose> {
     Some(Pose::from_matrix(&rotation, to[0].coords - rotation * from[0].coords))
 }
 
-/// The pose `camera_from_scene` that most of `seen` agree on; `None` where no more do than chance
-/// explains.
+/// The pose `camera_from_scene` with the most inliers among `seen`; `None` where chance explains as
+/// many.
 pub fn resect(seen: &[PointInImage], lens: &Lens, size: ImageSize) -> Option<Consensus<Pose>> {
     let bearings = seen.iter().map(|seen| lens.bearing_from_pixel(seen.pixel)).collect();
     let options =

@@ -1,32 +1,32 @@
-//! Bundle adjustment with an unknown noise level and some observations that are wrong.
+//! Bundle adjustment with an unknown noise level and some outliers.
 
 use crate::estimation::scene::bundle::{Bundle, BundleStop, SceneState};
 use crate::geometry::median::median;
 
-/// Observations further off than this, in standard deviations of their length, are wrong: of right
-/// ones one in 500.
+/// Observations with a longer residual, in standard deviations of a coordinate, are outliers: of
+/// inliers, one in 500 is longer.
 const WRONG: f64 = 3.5;
 
-/// Rounds of fitting and dropping.
+/// Rounds of fitting and dropping outliers.
 const ROUNDS: usize = 4;
 
-/// Cauchy's limit while wrong observations are still among the others, in standard deviations
-/// (95 % efficient where none are).
+/// The scale of Cauchy's loss while outliers are not yet dropped, in standard deviations (95 %
+/// efficient without outliers).
 pub(super) const CAUCHY: f64 = 2.4;
 
 /// The median of a squared length whose two coordinates have unit variance.
 const MEDIAN_SQUARE: f64 = 2.0 * std::f64::consts::LN_2;
 
-/// A fit with the observations that it is a fit to, and their noise.
+/// A fit with the observations in use, and their noise.
 #[derive(Debug, Clone)]
 pub struct RobustBundle {
-    /// The observations kept, with their true standard deviations.
+    /// The inlier observations, with their true standard deviations.
     pub bundle: Bundle,
     /// The estimate.
     pub state: SceneState,
-    /// Observations dropped.
+    /// Number of dropped observations.
     pub dropped: usize,
-    /// The factor on the expected standard deviations that the residuals ask for.
+    /// The factor between the expected standard deviations and those that the residuals show.
     pub noise_factor: f64,
 }
 
@@ -51,7 +51,7 @@ impl Bundle {
             .collect()
     }
 
-    /// Residuals' degrees of freedom over their number: what the fit has not taken up.
+    /// The degrees of freedom of the residuals over their number.
     pub fn free_part(&self, cameras: usize) -> f64 {
         let observations: usize = self.observations.iter().map(Vec::len).sum();
         let equations = 2.0 * observations as f64;
@@ -59,21 +59,21 @@ impl Bundle {
         ((equations - unknowns) / equations).max(0.02)
     }
 
-    /// The noise factor by the median residual, which wrong observations hardly move.
+    /// The noise factor from the median residual, on which outliers have little effect.
     pub fn median_noise(&self, state: &SceneState) -> f64 {
         let squares = self.squares(state).into_iter().flatten().collect();
         let free = self.free_part(state.cameras_from_scene.len());
         (median(squares).unwrap_or(1.0) / MEDIAN_SQUARE / free).sqrt().max(1e-6)
     }
 
-    /// Takes the noise as `factor` times larger than it was taken.
+    /// Multiplies the standard deviation of all observations by `factor`.
     pub fn rescaled(&mut self, factor: f64) {
         self.observations.iter_mut().flatten().for_each(|seen| seen.inverse_std /= factor);
     }
 }
 
-/// Fits, estimates the noise, drops what is wrong, and so on; the last fit is least squares of what
-/// is kept. Points left with fewer than two observations are dropped with them.
+/// Fits, estimates the noise and drops outliers, in rounds. The last fit is least squares of the
+/// remaining observations. Points left with fewer than two observations are dropped with them.
 pub fn fit_robustly(bundle: Bundle, start: SceneState, stop: BundleStop) -> RobustBundle {
     let (mut bundle, mut state) = (bundle, start);
     let all: usize = bundle.observations.iter().map(Vec::len).sum();
@@ -101,7 +101,7 @@ pub fn fit_robustly(bundle: Bundle, start: SceneState, stop: BundleStop) -> Robu
     RobustBundle { bundle, state, dropped: all - kept, noise_factor }
 }
 
-/// Drops wrong observations, and points that then have fewer than two.
+/// Drops outliers, and points that then have fewer than two observations.
 fn drop_wrong(bundle: &mut Bundle, state: &mut SceneState) {
     let squares = bundle.squares(state);
     let mut kept_points = Vec::new();

@@ -1,6 +1,6 @@
-//! A camera that only rotated: its lens from how the image moves (R. Hartley, *Self-calibration
-//! from multiple views with a rotating camera*, 1994; HZ section 19.6). No depth is seen, but the
-//! angles between directions are the same in all images.
+//! The lens of a camera that only rotated, from homographies between its images (R. Hartley,
+//! *Self-calibration from multiple views with a rotating camera*, 1994; HZ section 19.6). Depth is
+//! not observable, but the angles between directions are the same in all images.
 
 use nalgebra::{Matrix3, Point3};
 
@@ -24,7 +24,7 @@ pub struct RotatedPair {
     pub second: usize,
     /// Pixels of the second image from pixels of the first.
     pub homography: Homography,
-    /// How many matches agree.
+    /// Number of inlier matches.
     pub matches: usize,
 }
 
@@ -33,21 +33,23 @@ const SHORTEST: f64 = 0.3;
 const LONGEST: f64 = 8.0;
 const TRIED: usize = 120;
 
-/// K⁻¹ H K of a rotation is orthonormal to this, mean square of its entries' deviation.
+/// The deviation from orthonormality that K⁻¹ H K of a rotation may have, as [`deviation`] measures
+/// it. From five times this on, as the mean over all pairs, the camera did not only rotate.
 const ORTHONORMAL: f64 = 0.02;
 
-/// Cauchy's limit, in standard deviations (95 % efficient where no observation is wrong).
+/// The scale of Cauchy's loss, in standard deviations (95 % efficient without outliers).
 const ROBUST: f64 = 2.4;
 
 const DESCENDING: BundleStop = BundleStop { max_steps: 20, least_decrease: 1e-5 };
 
-/// Descents at most, each with the limit that the last one's noise gives.
+/// The largest number of fits, each with the loss's scale from the noise of the one before.
 const REFITS: usize = 10;
 
-/// A descent that leaves more than this part of the noise is the last.
+/// The fits end where the noise remains above this part of that of the fit before.
 const SETTLED: f64 = 0.98;
 
-/// How far K⁻¹ H K is from a rotation.
+/// The deviation of M = K⁻¹ H K, scaled to determinant 1, from orthonormality: the Frobenius norm
+/// of MᵀM − I. Returned with M.
 fn deviation(homography: &Homography, matrix: CameraMatrix) -> (f64, Matrix3<f64>) {
     let k = matrix.to_matrix();
     let Some(inverse) = k.try_inverse() else { return (f64::INFINITY, Matrix3::identity()) };
@@ -56,7 +58,8 @@ fn deviation(homography: &Homography, matrix: CameraMatrix) -> (f64, Matrix3<f64
     ((m.transpose() * m - Matrix3::identity()).norm(), m)
 }
 
-/// The focal length for which the homographies are nearest to rotations, and that deviation.
+/// The focal length for which the homographies are closest to rotations, and their mean deviation.
+/// `None` where it is too large for rotations.
 pub fn focal_of_rotations(pairs: &[RotatedPair], problem: &SceneProblem) -> Option<(f64, f64)> {
     let size = problem.image_size;
     let (longer, center) = (f64::from(size.width.max(size.height)), size.center());
@@ -77,8 +80,8 @@ pub fn focal_of_rotations(pairs: &[RotatedPair], problem: &SceneProblem) -> Opti
     (best.1 < 5.0 * ORTHONORMAL).then_some(best)
 }
 
-/// Rotations and directions from `pairs`, chained from the best connected image; `None` where the
-/// homographies are no rotations of one camera.
+/// Rotations and directions from `pairs`, chained from the image with the most matches; `None`
+/// where the homographies are not those of a rotating camera.
 pub fn reconstruct_rotations(
     problem: &SceneProblem,
     pairs: &[RotatedPair],
@@ -113,7 +116,7 @@ pub fn reconstruct_rotations(
     let state = SceneState { lens, cameras_from_scene, points };
     bundle.robust_limit = ROBUST * bundle.median_noise(&state);
     let mut state = bundle.minimize(state, DESCENDING);
-    // The homographies were taken for those of a lens without distortion and in the middle.
+    // The homographies assumed a lens without distortion, with its principal point in the center.
     bundle.free = vec![Lens::FX, Lens::FY, Lens::CX, Lens::CY, Lens::FIRST_COEFFICIENT];
     let mut noise = bundle.median_noise(&state);
     for _ in 0..REFITS {
@@ -127,7 +130,7 @@ pub fn reconstruct_rotations(
     (images.len() >= 2).then_some(Reconstruction { images, bundle, state })
 }
 
-/// Rotations from the image with the most matches outward, each along its strongest pair.
+/// Rotations from the image with the most matches outward, each along the pair with the most.
 fn chained(images: usize, pairs: &[RotatedPair], matrix: CameraMatrix) -> (Vec<usize>, Vec<Pose>) {
     let matches_of = |image: usize| -> usize {
         let own = pairs.iter().filter(|pair| pair.first == image || pair.second == image);
