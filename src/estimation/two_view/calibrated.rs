@@ -1,5 +1,5 @@
-//! The relative pose of two images whose lenses are known, from matches of which some are wrong:
-//! the five-point algorithm in RANSAC, then the most likely pose of the inliers.
+//! The relative pose of two images with known lenses, from matches with outliers: the five-point
+//! algorithm in RANSAC, then the maximum-likelihood pose of the inliers.
 
 use nalgebra::{Matrix3, Point2};
 
@@ -23,13 +23,13 @@ pub struct CalibratedPair<'a> {
     pub pairs: &'a [PointPair],
     /// Of the first and of the second camera.
     pub cameras: [CameraMatrix; 2],
-    /// The size of the second image: it says how likely a wrong match agrees by chance.
+    /// The size of the second image, from which follows the probability that a wrong match fits by
+    /// chance.
     pub size: ImageSize,
 }
 
-/// The relative pose that most of the matches agree on; the model of the consensus has a unit
-/// translation. `None` where no more agree than chance explains, or none is in front of both
-/// cameras.
+/// The relative pose with the most likely set of inliers; its translation has unit length. `None`
+/// where chance explains as many inliers, or none is in front of both cameras.
 ///
 /// ```
 /// use nalgebra::{Point2, Vector3};
@@ -86,7 +86,7 @@ pub fn relative_pose(matches: CalibratedPair<'_>) -> Option<Consensus<RelativePo
     Some(Consensus { model, inliers, limit_px, log_false_alarms })
 }
 
-/// E with the F that it is in pixels, where residuals are measured.
+/// E, with F for pixels, in which residuals are measured.
 #[derive(Clone)]
 struct Essential {
     essential: Matrix3<f64>,

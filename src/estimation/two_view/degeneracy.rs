@@ -1,4 +1,4 @@
-//! What two images show of their geometry: a full one, or one that a homography explains.
+//! What the matches of two images determine: a full epipolar geometry, or only a homography.
 
 use nalgebra::{Matrix3, Point2};
 
@@ -24,22 +24,22 @@ pub enum TwoViewKind {
     /// A homography explains the matches: one plane, or a camera that only rotated (or hardly
     /// moved). F is not determined.
     Homography,
-    /// Matches are where they were: the camera stood still, or it is the same image.
+    /// Matches did not move: the camera stood still, or it is the same image.
     Still,
 }
 
-/// The geometry of two images with the matches that agree on it.
+/// The geometry of two images, with its inliers.
 #[derive(Debug, Clone)]
 pub struct TwoViewGeometry {
     /// What the matches determine.
     pub kind: TwoViewKind,
-    /// F, as well as the matches determine it.
+    /// F, as well as the matches determine it; 0 for a still camera.
     pub fundamental: Matrix3<f64>,
-    /// The homography that explains most of them.
+    /// The homography with the most inliers among them.
     pub homography: Option<Homography>,
-    /// Which matches agree on F, ascending.
+    /// The inliers of F, ascending.
     pub inliers: Vec<usize>,
-    /// How many of those a homography explains as well.
+    /// How many of those are also inliers of the homography.
     pub on_homography: usize,
     /// Whether a homography explains nearly all of the inliers.
     pub is_nearly_planar: bool,
@@ -47,23 +47,23 @@ pub struct TwoViewGeometry {
     pub displacement_px: f64,
 }
 
-/// A homography that explains this part of F's inliers shows nearly one plane, or a rotation
-/// (COLMAP's).
+/// Where a homography explains more than this part of F's inliers, the scene is nearly one plane,
+/// or the camera only rotated (COLMAP's).
 const HOMOGRAPHY_PART: f64 = 0.8;
 
-/// The natural logarithm of how often matches beside the homography may agree on F by chance: once
-/// in a million pairs of images. F has two degrees of freedom more than a homography (HZ result
-/// 13.6: plane and parallax), so that what is beside it says whether there is depth, however large
-/// the plane is.
+/// The natural logarithm of the rate at which matches off the homography may fit F by chance: once
+/// in a million pairs of images. Given a homography, F has two more degrees of freedom, the epipole
+/// (HZ result 13.6: plane and parallax). So the matches off the homography decide whether there is
+/// depth, however large the plane is.
 const LOG_NO_CHANCE: f64 = -13.8;
 
-/// Fewer matches agree by chance too easily.
+/// The least number of inliers: fewer fit by chance too easily.
 const LEAST_INLIERS: usize = 16;
 
 /// A displacement below this is no motion, in pixels.
 const STILL_PX: f64 = 0.5;
 
-/// The geometry that most of `pairs` agree on; `None` where no more agree than chance explains.
+/// The geometry with the most likely set of inliers; `None` where chance explains as many.
 pub fn two_view_geometry(pairs: &[PointPair], size: ImageSize) -> Option<TwoViewGeometry> {
     if let Some(still) = still(pairs) {
         return Some(still);
@@ -81,7 +81,7 @@ pub fn two_view_geometry(pairs: &[PointPair], size: ImageSize) -> Option<TwoView
     let mixture = ResidualMixture { std: 0.5 * limit_px, wrong_within_unit: epipolar.chance(1.0) };
     let fundamental = refine_fundamental_among_wrong(&model, pairs, mixture).unwrap_or(model);
     let planar = Planar { pairs: &inlier_pairs, size };
-    // Plane or not is asked at F's own precision.
+    // The test for a plane uses a limit from F's own precision.
     let limit_px = limit_px.max(1.0) * 1.5;
     let options = RansacOptions { max_limit_px: 8.0, ..RansacOptions::default() };
     let homography = ransac(&planar, &options).map(|consensus| consensus.model);
@@ -112,8 +112,8 @@ pub fn two_view_geometry(pairs: &[PointPair], size: ImageSize) -> Option<TwoView
     })
 }
 
-/// The natural logarithm of how often `on_epipolar_lines` of `beside` matches, each by `chance`,
-/// lie along the epipolar lines of an epipole that two of them give.
+/// The natural logarithm of how often `on_epipolar_lines` of `beside` matches, each with
+/// probability `chance`, lie on the epipolar lines of an epipole that two of them determine.
 fn log_false_alarms(on_epipolar_lines: usize, beside: usize, chance: f64) -> f64 {
     let log_factorial = |n: usize| (1..=n).map(|k| (k as f64).ln()).sum::<f64>();
     let log_choose = |n: usize, k: usize| {
@@ -131,7 +131,7 @@ fn median_displacement_px(pairs: &[PointPair]) -> f64 {
     median(pairs.iter().map(|p| (p.second - p.first).norm()).collect()).unwrap_or(0.0)
 }
 
-/// The geometry of images between which nothing moved: F is any skew-symmetric matrix.
+/// The geometry of images without motion between them. Any skew-symmetric matrix is a valid F.
 fn still(pairs: &[PointPair]) -> Option<TwoViewGeometry> {
     let displacement_px = median_displacement_px(pairs);
     if pairs.len() < LEAST_INLIERS || displacement_px >= STILL_PX {
@@ -150,7 +150,7 @@ fn still(pairs: &[PointPair]) -> Option<TwoViewGeometry> {
     })
 }
 
-/// The search for F.
+/// The RANSAC problem of F.
 pub struct Epipolar<'a> {
     /// The matches.
     pub pairs: &'a [PointPair],
@@ -189,7 +189,7 @@ impl SampledModel for Epipolar<'_> {
     }
 }
 
-/// The search for a homography.
+/// The RANSAC problem of a homography.
 pub struct Planar<'a> {
     /// The matches.
     pub pairs: &'a [PointPair],

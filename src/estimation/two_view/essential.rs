@@ -23,7 +23,7 @@ pub fn essential_from_pose(rotation: &Matrix3<f64>, translation: &Vector3<f64>) 
 }
 
 /// From at least 8 pairs of normalized coordinates (HZ section 9.6): the nearest essential matrix
-/// to the eight-point answer.
+/// to the result of the eight-point algorithm.
 pub fn essential_from_many(pairs: &[PointPair]) -> Option<Matrix3<f64>> {
     Some(nearest_essential(&fundamental_from_many(pairs)?))
 }

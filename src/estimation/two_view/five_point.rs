@@ -8,8 +8,8 @@ use crate::estimation::two_view::fundamental::equation;
 use crate::estimation::two_view::null_space::null_space;
 use crate::estimation::two_view::roots::real_roots;
 
-/// Monomials x^a y^b z^c of degree 3 at most, in Nistér's order: after elimination of the first
-/// ten the last six of those express x², y² and xy by what is linear in x and y.
+/// Monomials x^a y^b z^c of degree 3 at most, in Nistér's order. After elimination of the first
+/// ten, the last six of those express x², y² and xy by terms that are linear in x and y.
 const MONOMIALS: [[usize; 3]; 20] = [
     [3, 0, 0],
     [0, 3, 0],
@@ -51,7 +51,7 @@ const fn index_of_monomials() -> [[[usize; 4]; 4]; 4] {
 
 const INDEX: [[[usize; 4]; 4]; 4] = index_of_monomials();
 
-/// The product; terms beyond degree 3 do not occur.
+/// The product; the factors are such that no terms of degree above 3 occur.
 fn product(p: &Cubic, q: &Cubic) -> Cubic {
     let mut result = [0.0; 20];
     for (i, a) in p.iter().enumerate().filter(|(_, a)| **a != 0.0) {
@@ -67,8 +67,8 @@ fn sum(p: &Cubic, q: &Cubic, factor: f64) -> Cubic {
     std::array::from_fn(|k| p[k] + factor * q[k])
 }
 
-/// The up to ten essential matrices for which five pairs of normalized coordinates hold exactly,
-/// with unit norm. Empty where the pairs depend on each other.
+/// The up to ten essential matrices that satisfy five pairs of normalized coordinates exactly, with
+/// unit norm. Empty where the pairs are linearly dependent.
 pub fn essential_from_five(pairs: &[PointPair; 5]) -> Vec<Matrix3<f64>> {
     let mut equations = SMatrix::<f64, 5, 9>::zeros();
     for (k, pair) in pairs.iter().enumerate() {
@@ -87,8 +87,8 @@ pub fn essential_from_five(pairs: &[PointPair; 5]) -> Vec<Matrix3<f64>> {
     determinant = subtract(&determinant, &times(&rows[2][2], &minor(1, 0, 0, 1)));
     let at = |p: &InZ, z: f64| crate::geometry::polynomial::evaluate(p, z);
     let solution = |z: f64| {
-        // (x, y, 1) is the null vector of the rows at z: the cross product of two of them, the
-        // two that are least parallel.
+        // (x, y, 1) is the null vector of the rows at z: the cross product of two of them, here of
+        // the least parallel two.
         let values = [0, 1, 2].map(|r| {
             nalgebra::Vector3::new(at(&rows[r][0], z), at(&rows[r][1], z), at(&rows[r][2], z))
         });
@@ -156,8 +156,8 @@ fn eliminated(mut a: SMatrix<f64, 10, 20>) -> Option<SMatrix<f64, 10, 20>> {
     Some(a)
 }
 
-/// Nistér's rows k, l, m: x²z − z · x², y²z − z · y², xyz − z · xy, each a polynomial in z times x,
-/// times y, and alone.
+/// Nistér's rows k, l, m: x²z − z · x², y²z − z · y², xyz − z · xy. Each row has three polynomials
+/// in z: the coefficients of x, of y, and of 1.
 fn reduced_in_z(a: &SMatrix<f64, 10, 20>) -> [[InZ; 3]; 3] {
     let row = |first: usize| {
         let (e, f) = (|c: usize| a[(first, c)], |c: usize| a[(first + 1, c)]);

@@ -1,4 +1,4 @@
-//! The focal length from the geometry of image pairs alone, where nothing else determines it.
+//! The focal length from the epipolar geometry of image pairs alone.
 
 use nalgebra::Matrix3;
 
@@ -11,23 +11,24 @@ const SHORTEST: f64 = 0.3;
 const LONGEST: f64 = 8.0;
 const TRIED: usize = 80;
 
-/// A gap between singular values that counts half as much as a pair can say against a focal
-/// length: what noise and distortion leave at the right one.
+/// The gap between singular values at which a pair has half its largest cost: about the gap that
+/// noise and distortion leave at the true focal length.
 const LARGE_GAP: f64 = 0.02;
 
-/// One focal length and how little pairs say against it.
+/// A focal length, and how much pairs contradict it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FocalVote {
     /// In pixels.
     pub focal_px: f64,
-    /// Mean over the pairs, weighted: 0 where all agree, 1 where all disagree.
+    /// The weighted mean over the pairs: 0 where all are consistent with it, 1 where all contradict
+    /// it.
     pub cost: f64,
 }
 
-/// Every tried focal length, ascending, with the cost of assuming it: for each pair (F, weight) how
-/// far KᵀFK is from an essential matrix, that is Kruppa's equations in the form of singular values
-/// (HZ section 19.5.1; P. Mendonça and R. Cipolla, *A simple technique for self-calibration*,
-/// 1999), robustly added up. Square pixels, principal point in the middle.
+/// Every tried focal length, ascending, with its cost. The cost of each pair (F, weight) is a
+/// robust function of how far KᵀFK is from an essential matrix, which is Kruppa's equations in the
+/// form of singular values (HZ section 19.5.1; P. Mendonça and R. Cipolla, *A simple technique for
+/// self-calibration*, 1999). Assumes square pixels and a principal point in the image's center.
 pub fn focal_votes(pairs: &[(Matrix3<f64>, f64)], size: ImageSize) -> Vec<FocalVote> {
     let longer = f64::from(size.width.max(size.height));
     let center = size.center();
@@ -58,10 +59,10 @@ pub fn likely_focals(votes: &[FocalVote]) -> Vec<FocalVote> {
     minima
 }
 
-/// f² of both images from F by Bougnoux's formula (S. Bougnoux, *From projective to Euclidean space
-/// under any practical situation*, 1998), square pixels and principal points in the middle: exact
-/// without noise, meaningless where the optical axes meet (then it is 0 / 0), negative where F is
-/// poor. Answers (first, second) in px².
+/// f² of both images, (first, second) in px², from F by Bougnoux's formula (S. Bougnoux, *From
+/// projective to Euclidean space under any practical situation*, 1998), for square pixels and
+/// principal points in the images' centers. It is exact without noise, meaningless where the
+/// optical axes meet (then it is 0 / 0), and negative where F is poor.
 pub fn bougnoux_square_focals(f: &Matrix3<f64>, size: ImageSize) -> [f64; 2] {
     let center = size.center();
     let p = nalgebra::Vector3::new(center.x, center.y, 1.0);

@@ -9,7 +9,7 @@ use crate::geometry::homography::smallest_eigenvector;
 
 /// The normalized eight-point algorithm (HZ algorithm 11.1): the least algebraic error over at
 /// least 8 `pairs`, rank 2 enforced, unit Frobenius norm. `None` for fewer, or where the pairs do
-/// not determine it.
+/// not determine F.
 pub fn fundamental_from_many(pairs: &[PointPair]) -> Option<Matrix3<f64>> {
     weighted_fundamental(pairs, |_| 1.0)
 }
@@ -32,8 +32,8 @@ pub(super) fn weighted_fundamental(
     normalizing.undo(&with_rank_two(&Matrix3::from_row_slice(f.as_slice())))
 }
 
-/// The seven-point algorithm (HZ section 11.1.2): the one or three matrices of rank 2 that hold
-/// for all seven pairs. Empty where the pairs depend on each other.
+/// The seven-point algorithm (HZ section 11.1.2): the one or three matrices of rank 2 that satisfy
+/// all seven pairs. Empty where the pairs are linearly dependent.
 pub fn fundamental_from_seven(pairs: &[PointPair; 7]) -> Vec<Matrix3<f64>> {
     let Some(normalizing) = Normalizing::of(pairs) else { return Vec::new() };
     let mut equations = SMatrix::<f64, 7, 9>::zeros();
@@ -42,7 +42,8 @@ pub fn fundamental_from_seven(pairs: &[PointPair; 7]) -> Vec<Matrix3<f64>> {
     }
     let Some(basis) = null_space(equations) else { return Vec::new() };
     let [first, second] = [0, 1].map(|k| Matrix3::from_row_slice(basis[k].as_slice()));
-    // det(first + a · second), a cubic, from its values at four places.
+    // det(first + a · second) is a cubic in a: from its values at 0, 1 and −1, and its leading
+    // coefficient.
     let at = |a: f64| (first + second * a).determinant();
     let (at_0, at_1, at_m, end) = (at(0.0), at(1.0), at(-1.0), second.determinant());
     let even = 0.5 * (at_1 + at_m) - at_0;
@@ -51,8 +52,8 @@ pub fn fundamental_from_seven(pairs: &[PointPair; 7]) -> Vec<Matrix3<f64>> {
     matrices.filter_map(|f| normalizing.undo(&f)).collect()
 }
 
-/// The distance of a pair from satisfying `f`, to first order, with the derivative of its sign
-/// kept, in pixels (Sampson; HZ equation 11.9).
+/// The Sampson distance of a pair from satisfying `f`, signed, in pixels: the distance to first
+/// order (HZ equation 11.9).
 pub fn sampson_distance_px(f: &Matrix3<f64>, pair: &PointPair) -> f64 {
     let [first, second] = pair.homogeneous();
     let (in_second, in_first) = (f * first, f.tr_mul(&second));
@@ -60,9 +61,9 @@ pub fn sampson_distance_px(f: &Matrix3<f64>, pair: &PointPair) -> f64 {
     second.dot(&in_second) / squares.sqrt().max(f64::MIN_POSITIVE)
 }
 
-/// The epipole of the first image: where it sees the second camera, as a homogeneous vector.
+/// The epipole of the first image: the projection of the second camera's center, homogeneous.
 pub fn epipole_in_first(f: &Matrix3<f64>) -> Vector3<f64> {
-    // Across all rows: the product of the two that are least parallel.
+    // It is orthogonal to all rows: the cross product of the least parallel two.
     let row = |k: usize| f.row(k).transpose();
     let products = [(0, 1), (0, 2), (1, 2)].map(|(a, b)| row(a).cross(&row(b)));
     let longest = products.into_iter().max_by(|a, b| a.norm().total_cmp(&b.norm()));

@@ -1,5 +1,5 @@
-//! What two images of one scene say: which matches agree, how the cameras stood, and where the
-//! points are.
+//! The geometry of two images of one scene: the inlier matches, the relative pose of the cameras,
+//! and the points.
 //!
 //! ```text
 //! pairs of pixels --ransac--> F, E or H with inliers and their scale --degeneracy--> what it shows

@@ -1,12 +1,12 @@
-//! The null space of a few equations by elimination: exact answers of minimal problems.
+//! The null space of a few equations by elimination, for minimal solvers.
 
 use nalgebra::{SMatrix, SVector};
 
-/// A pivot smaller than this part of the greatest entry is 0: the equations depend on each other.
+/// A pivot smaller than this part of the greatest entry is 0: the equations are linearly dependent.
 const LEAST_PIVOT: f64 = 1e-10;
 
-/// A basis of the solutions of `a` x = 0, N − M vectors of unit length; `None` where the equations
-/// depend on each other. Gauss–Jordan elimination with full pivoting.
+/// A basis of the solutions of `a` x = 0, N − M vectors of unit length, by Gauss–Jordan elimination
+/// with full pivoting. `None` where the equations are linearly dependent.
 pub(super) fn null_space<const M: usize, const N: usize>(
     mut a: SMatrix<f64, M, N>,
 ) -> Option<Vec<SVector<f64, N>>> {

@@ -1,11 +1,11 @@
-//! Which of many correspondences agree on one model, without knowledge of their precision.
+//! RANSAC with an unknown noise level: the inliers of one model among many correspondences.
 //!
-//! Samples are drawn, fitted and scored a contrario: of all residual limits the one whose inliers
-//! are the least likely to agree by chance (L. Moisan and B. Stival, *A probabilistic criterion to
-//! detect rigid point matches between two images and estimate the fundamental matrix*, 2004). So
-//! the inliers' scale comes from the data. Each new best is fitted again to its inliers (O. Chum,
-//! J. Matas and J. Kittler, *Locally optimized RANSAC*, 2003). Deterministic: the samples are drawn
-//! from a generator with a fixed seed.
+//! Samples are drawn, fitted and scored a contrario. Of all residual limits, the one is used whose
+//! inliers are the least likely to arise by chance (L. Moisan and B. Stival, *A probabilistic
+//! criterion to detect rigid point matches between two images and estimate the fundamental matrix*,
+//! 2004), so that the inliers' scale comes from the data. Each new best model is fitted again to
+//! its inliers (O. Chum, J. Matas and J. Kittler, *Locally optimized RANSAC*, 2003). Deterministic:
+//! the samples come from a generator with a fixed seed.
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -14,13 +14,13 @@ use crate::geometry::pixel::ImageSize;
 
 /// A model that few correspondences determine.
 pub trait SampledModel {
-    /// What is fitted.
+    /// The fitted model.
     type Model: Clone;
 
-    /// Correspondences that determine it, up to a few solutions.
+    /// Number of correspondences that determine the model, up to a few solutions.
     const SAMPLE: usize;
 
-    /// How many correspondences there are.
+    /// Number of correspondences.
     fn count(&self) -> usize;
 
     /// The models through the sample.
@@ -35,16 +35,16 @@ pub trait SampledModel {
     /// The probability that a wrong correspondence has a residual below `limit_px` by chance.
     fn chance(&self, limit_px: f64) -> f64;
 
-    /// The most models that one sample has.
+    /// The largest number of models from one sample.
     fn max_solutions(&self) -> f64;
 }
 
 /// How samples are drawn.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RansacOptions {
-    /// Samples drawn at most.
+    /// The largest number of samples.
     pub max_samples: usize,
-    /// Stop where a better model is missed with this probability.
+    /// Sampling ends where the probability of having missed a better model is below this.
     pub miss_probability: f64,
     /// Residuals above this are never inliers, in pixels.
     pub max_limit_px: f64,
@@ -56,28 +56,29 @@ impl Default for RansacOptions {
     }
 }
 
-/// A model with what agrees on it.
+/// A model with its inliers.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Consensus<M> {
     /// The model.
     pub model: M,
-    /// Who agrees, ascending.
+    /// The inliers, ascending.
     pub inliers: Vec<usize>,
-    /// The residual limit that the data chose, in pixels.
+    /// The residual limit of the inliers, chosen by the data, in pixels.
     pub limit_px: f64,
-    /// The natural logarithm of how many as good consensuses chance alone is expected to give:
-    /// far below 0 for a real one.
+    /// The natural logarithm of the number of false alarms: how many consensuses as good as this
+    /// are expected by chance alone. Far below 0 for a real one.
     pub log_false_alarms: f64,
 }
 
-/// Limits tried, in steps of this ratio, below the greatest.
+/// Number of residual limits tried, and the ratio between them. The greatest is
+/// [`RansacOptions::max_limit_px`].
 const LIMITS: usize = 40;
 const LIMIT_RATIO: f64 = 1.15;
 
-/// Fits to inliers that follow each new best.
+/// The largest number of fits to the inliers of each new best model.
 const LOCAL_STEPS: usize = 3;
 
-/// The consensus that chance explains least; `None` where chance explains every one.
+/// The consensus that is least likely by chance; `None` where chance explains every one.
 pub fn ransac<S: SampledModel>(
     problem: &S,
     options: &RansacOptions,
@@ -113,13 +114,13 @@ pub fn ransac<S: SampledModel>(
     Some(Consensus { model, inliers, limit_px, log_false_alarms })
 }
 
-/// Fewer samples are never drawn: a first model may have its inliers by chance.
+/// The least number of samples: a first model may have its inliers by chance.
 const LEAST_SAMPLES: usize = 8;
 
-/// How many samples of `size` are missed with [`RansacOptions::miss_probability`] by a model on
-/// which this part of the correspondences agrees (HZ equation 4.18); all where none does.
+/// The number of samples of `size` after which a model with this part of inliers is missed with
+/// [`RansacOptions::miss_probability`] (HZ equation 4.18); the largest number where it has none.
 fn samples_needed(part: f64, size: usize, options: &RansacOptions) -> usize {
-    // ln(1 − hit) would be 0 for a small hit, and its sign lost.
+    // By ln_1p: ln(1 − hit) would round to 0 for a small hit, and lose its sign.
     let log_miss = (-part.powi(size as i32)).ln_1p();
     let enough =
         if log_miss < 0.0 { options.miss_probability.ln() / log_miss } else { f64::INFINITY };
@@ -207,13 +208,14 @@ impl Scoring {
     }
 }
 
-/// The probability that a point anywhere in an image is within `limit_px` of a line through it.
+/// The probability that a random point in an image is within `limit_px` of a line through the
+/// image.
 pub fn chance_beside_line(size: ImageSize, limit_px: f64) -> f64 {
     let area = f64::from(size.width) * f64::from(size.height);
     2.0 * size.diagonal_px() * limit_px / area.max(1.0)
 }
 
-/// The probability that a point anywhere in an image is within `limit_px` of a point in it.
+/// The probability that a random point in an image is within `limit_px` of a given point in it.
 pub fn chance_in_disk(size: ImageSize, limit_px: f64) -> f64 {
     let area = f64::from(size.width) * f64::from(size.height);
     std::f64::consts::PI * limit_px * limit_px / area.max(1.0)
@@ -235,7 +237,7 @@ fn draw(random: &mut ChaCha8Rng, count: usize, size: usize) -> Vec<usize> {
 mod tests {
     use super::*;
 
-    /// With 99 %: the numbers of HZ table 4.3. A first model without inliers is no reason to stop.
+    /// With 99 %: the numbers of HZ table 4.3. A first model without inliers does not end sampling.
     #[test]
     fn samples_are_drawn_until_a_better_model_is_hardly_missed() {
         let options = RansacOptions { miss_probability: 0.01, ..RansacOptions::default() };

@@ -1,5 +1,5 @@
-//! The most likely two-view geometry: least squares of Sampson distances (HZ section 11.4.3), over
-//! exactly the freedom that the matrix has.
+//! The maximum-likelihood two-view geometry: least squares of Sampson distances (HZ section
+//! 11.4.3), over exactly the degrees of freedom of the matrix.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
 
@@ -8,26 +8,26 @@ use crate::estimation::two_view::essential::essential_from_pose;
 use crate::estimation::two_view::fundamental::sampson_distance_px;
 use crate::geometry::pose::Pose;
 
-/// Steps at most; few are needed from an algebraic fit.
+/// The largest number of steps; few are needed from an algebraic fit.
 const MAX_STEPS: usize = 10;
 
-/// A step that lowers the cost by less than this part ends the descent.
+/// A step that lowers the cost by less than this part is the last.
 const LEAST_DECREASE: f64 = 1e-7;
 
-/// Rounds of weighing the pairs anew; the weights settle in three or four.
+/// Rounds of estimating the weights of the pairs; they converge in three or four.
 const ROUNDS: usize = 6;
 
-/// What a residual says of a pair: right ones have Gaussian residuals, wrong ones any.
+/// The distribution of residuals: Gaussian for inliers, uniform for outliers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ResidualMixture {
-    /// The standard deviation of right pairs' residuals, in the pairs' unit.
+    /// The standard deviation of inliers' residuals, in the pairs' unit.
     pub std: f64,
-    /// The probability that a wrong pair's residual is within one unit of 0.
+    /// The probability that an outlier's residual is within one unit of 0.
     pub wrong_within_unit: f64,
 }
 
 impl ResidualMixture {
-    /// The probability of each pair to be right, with `std` and the part of right pairs estimated
+    /// The probability of each pair to be an inlier, with `std` and the part of inliers estimated
     /// from the residuals: expectation maximization (A. Dempster, N. Laird and D. Rubin, 1977).
     fn weigh(&mut self, residuals: &[f64], weights: &mut [f64]) {
         let part = weights.iter().sum::<f64>() / weights.len() as f64;
@@ -40,12 +40,12 @@ impl ResidualMixture {
         let sum = weights.iter().sum::<f64>();
         let squares: f64 = weights.iter().zip(residuals).map(|(w, r)| w * r * r).sum();
         let std = (squares / sum).sqrt();
-        // Exact pairs have no scatter, and a few rounds of halving leave them as they are.
+        // Exact pairs have no scatter: `std` falls by half at most per round, and never reaches 0.
         self.std = if std.is_finite() { std.max(0.5 * self.std) } else { self.std };
     }
 }
 
-/// Something with an epipolar matrix and few degrees of freedom.
+/// A parameterization of an epipolar matrix by its degrees of freedom.
 trait EpipolarGeometry: Sized {
     fn matrix(&self) -> Matrix3<f64>;
     /// The derivative of [`Self::matrix`] by each degree of freedom.
@@ -60,8 +60,8 @@ pub fn refine_fundamental(f: &Matrix3<f64>, pairs: &[PointPair]) -> Option<Matri
     Some(descend(Orthonormal::of(f)?, pairs, &vec![1.0; pairs.len()]).matrix())
 }
 
-/// As [`refine_fundamental`], where some of `pairs` are wrong: each counts as much as it is
-/// probably right.
+/// As [`refine_fundamental`], with outliers among `pairs`: each is weighted by its probability of
+/// being an inlier.
 pub fn refine_fundamental_among_wrong(
     f: &Matrix3<f64>,
     pairs: &[PointPair],
@@ -76,8 +76,8 @@ pub fn refine_pose(second_from_first: &Pose, pairs: &[PointPair]) -> Pose {
     descend(UnitBaseline::of(second_from_first), pairs, &vec![1.0; pairs.len()]).pose()
 }
 
-/// As [`refine_pose`], where some of `pairs` are wrong: each counts as much as it is probably
-/// right.
+/// As [`refine_pose`], with outliers among `pairs`: each is weighted by its probability of being an
+/// inlier.
 pub fn refine_pose_among_wrong(
     second_from_first: &Pose,
     pairs: &[PointPair],
@@ -133,7 +133,7 @@ fn descend<G: EpipolarGeometry>(start: G, pairs: &[PointPair], weights: &[f64]) 
 }
 
 /// The cost with its normal equations over the degrees of freedom. They are summed over the nine
-/// elements of the matrix, in which residuals are linear in the same way for every geometry.
+/// elements of the matrix, by which the derivatives of residuals are the same for every geometry.
 fn equations(
     geometry: &impl EpipolarGeometry,
     pairs: &[PointPair],
@@ -152,7 +152,7 @@ fn equations(
         }
         let root = squares.sqrt();
         let residual = second.dot(&(f * first)) / root;
-        // Of the error, and of the root that it is divided by.
+        // Derivatives of the algebraic error, and of the root that divides it.
         let by_error = (second - in_second * (residual / root)) / root;
         let by_root = second * (-residual / squares);
         let by_element = by_error * first.transpose() + by_root * in_first.transpose();
@@ -238,7 +238,7 @@ impl UnitBaseline {
         Pose::from_matrix(&self.rotation, self.translation)
     }
 
-    /// Two unit directions across the translation.
+    /// Two unit directions orthogonal to the translation.
     fn across(&self) -> [Vector3<f64>; 2] {
         let axis = Vector3::ith(self.translation.iamin(), 1.0);
         let first = self.translation.cross(&axis).normalize();

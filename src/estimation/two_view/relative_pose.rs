@@ -1,5 +1,5 @@
-//! From an essential matrix to how the second camera stood: of four poses the one with the points
-//! in front of both cameras (HZ section 9.6.2).
+//! The relative pose from an essential matrix: of four poses the one with the points in front of
+//! both cameras (HZ section 9.6.2).
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -7,21 +7,21 @@ use crate::estimation::two_view::PointPair;
 use crate::estimation::two_view::triangulation::triangulate_rays;
 use crate::geometry::pose::Pose;
 
-/// The pose of two cameras, and what supports it.
+/// The relative pose of two cameras, and its support.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RelativePose {
-    /// Unit translation: lengths are not known.
+    /// The translation has unit length: its true length is not determined.
     pub second_from_first: Pose,
-    /// How many of the pairs are in front of both cameras.
+    /// The number of pairs in front of both cameras.
     pub in_front: usize,
 }
 
-/// The four poses `second_from_first` that an essential matrix stands for (HZ result 9.19), with
-/// unit translations.
+/// The four poses `second_from_first` of an essential matrix (HZ result 9.19), with unit
+/// translations.
 pub fn poses_from_essential(e: &Matrix3<f64>) -> Option<[Pose; 4]> {
     let svd = e.svd(true, true);
     let (mut u, mut v_t) = (svd.u?, svd.v_t?);
-    // E has no sign: choose rotations with determinant 1.
+    // The sign of E is arbitrary: choose rotations with determinant 1.
     if u.determinant() < 0.0 {
         u = -u;
     }
@@ -38,14 +38,14 @@ pub fn poses_from_essential(e: &Matrix3<f64>) -> Option<[Pose; 4]> {
     })
 }
 
-/// The pose of the four with the most of `pairs` (normalized coordinates) in front of both
+/// Of the four poses, the one with the most of `pairs` (normalized coordinates) in front of both
 /// cameras; `None` if no pair is.
 pub fn pose_from_essential(e: &Matrix3<f64>, pairs: &[PointPair]) -> Option<RelativePose> {
     let poses = poses_from_essential(e)?.map(|second_from_first| {
         let in_front = |pair: &&PointPair| is_in_front(&second_from_first, pair);
         RelativePose { second_from_first, in_front: pairs.iter().filter(in_front).count() }
     });
-    // Of equals the first.
+    // Among equals, the first.
     let best = poses.into_iter().rev().max_by_key(|pose| pose.in_front)?;
     (best.in_front > 0).then_some(best)
 }

@@ -1,6 +1,6 @@
-//! All real roots of a polynomial, of either sign and any size. The first positive root, which a
-//! lens asks for, has a search of its own ([`first_root`]): brackets that reach over many orders of
-//! magnitude are halved in the logarithm there, which roots of either sign do not allow.
+//! All real roots of a polynomial, of either sign and any size. The smallest positive root, which
+//! lenses need, has its own search ([`first_root`]): it bisects in the logarithm, since its
+//! brackets span many orders of magnitude, and that is not possible for roots of either sign.
 //!
 //! [`first_root`]: crate::geometry::polynomial::first_root
 
@@ -9,9 +9,9 @@ use crate::geometry::polynomial::{evaluate, slope};
 /// Halvings from a bracket of length 2 to the last bit.
 const HALVINGS: usize = 60;
 
-/// The real roots of the polynomial with `coefficients` (constant term first), each once; a root
-/// where the sign does not change may be missing. Those beyond ±1 are the inverses of the roots of
-/// the polynomial read backwards.
+/// The real roots of the polynomial with `coefficients` (constant term first), each once. Roots
+/// without a change of sign may be missing. Those beyond ±1 are the reciprocals of the roots of the
+/// polynomial with reversed coefficients.
 pub(crate) fn real_roots(coefficients: &[f64]) -> Vec<f64> {
     if coefficients.iter().any(|c| !c.is_finite()) {
         return Vec::new();
@@ -23,7 +23,8 @@ pub(crate) fn real_roots(coefficients: &[f64]) -> Vec<f64> {
     roots
 }
 
-/// The roots in [−1, 1]: between those of the derivative, found the same way.
+/// The roots in [−1, 1]. They are separated by those of the derivative, which are found
+/// recursively.
 fn roots_within_one(coefficients: &[f64]) -> Vec<f64> {
     let degree = coefficients.iter().rposition(|c| *c != 0.0).unwrap_or(0);
     if degree == 0 {

@@ -1,4 +1,4 @@
-//! Where rays meet: points from two or more views.
+//! Triangulation: points from rays of two or more views.
 
 use nalgebra::{Matrix3, Matrix4, Point2, Point3, Vector3};
 
@@ -7,8 +7,8 @@ use crate::estimation::two_view::essential::essential_from_pose;
 use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::pose::Pose;
 
-/// The point, in the first camera's frame, that is nearest to both rays in the first camera's and
-/// the second camera's frame (any length); `None` where they are parallel.
+/// The point, in the first camera's frame, that is nearest to both rays. `first` is in the first
+/// camera's frame and `second` in the second's, of any length. `None` where the rays are parallel.
 pub fn triangulate_rays(
     second_from_first: &Pose,
     first: Vector3<f64>,
@@ -28,9 +28,9 @@ pub fn triangulate_rays(
     Some(Point3::from(0.5 * (first * a + center + rotated * b)))
 }
 
-/// The point whose projections satisfy all of (pose `camera_from_scene`, normalized coordinates)
-/// with the least algebraic error (HZ section 12.2), in the scene's frame. `None` for fewer than
-/// two, or a point at infinity.
+/// The point, in the scene's frame, with the least algebraic error to all observations (pose
+/// `camera_from_scene`, normalized coordinates) (HZ section 12.2). `None` for fewer than two, or a
+/// point at infinity.
 pub fn triangulate_linear(seen: &[(Pose, Point2<f64>)]) -> Option<Point3<f64>> {
     if seen.len() < 2 {
         return None;
@@ -74,8 +74,8 @@ pub fn nearest_epipolar_pair(f: &Matrix3<f64>, pair: &PointPair) -> PointPair {
     }
 }
 
-/// The most likely point, in the first camera's frame, of a pair of pixels with equal noise: where
-/// the rays of [`nearest_epipolar_pair`] meet. `None` where they are parallel.
+/// The maximum-likelihood point, in the first camera's frame, of a pair of pixels with equal noise:
+/// the intersection of the rays of [`nearest_epipolar_pair`]. `None` where they are parallel.
 pub fn triangulate_pair(
     second_from_first: &Pose,
     cameras: [CameraMatrix; 2],

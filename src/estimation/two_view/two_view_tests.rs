@@ -1,4 +1,4 @@
-//! Two-view geometry on simulated cameras: the relations of a textbook's chapter, one by one.
+//! Two-view geometry on simulated cameras: the relations of HZ part II, one by one.
 
 use nalgebra::{Matrix3, Point2, Point3, Rotation3, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -81,7 +81,7 @@ impl World {
     }
 }
 
-/// The distance of two matrices that have no scale and no sign.
+/// The distance of two matrices that are defined up to scale and sign.
 fn difference(a: &Matrix3<f64>, b: &Matrix3<f64>) -> f64 {
     let (a, b) = (a / a.norm(), b / b.norm());
     (a - b).norm().min((a + b).norm())
@@ -100,7 +100,7 @@ fn exact_pixels_satisfy_the_epipolar_constraint_and_give_f_back() {
         let seven = fundamental_from_seven(sample);
         let nearest = seven.iter().map(|f| difference(f, &truth)).fold(1.0, f64::min);
         assert!(nearest < 1e-6, "{nearest}");
-        // The first image sees the second camera in the epipole.
+        // The epipole is the image of the second camera's center.
         let center = MATRIX.to_matrix() * world.second_from_first.inverse().translation();
         assert!(epipole_in_first(&truth).cross(&center.normalize()).norm() < 1e-6);
     }
@@ -143,7 +143,8 @@ fn triangulation_gives_exact_points_back_and_the_nearest_pair_otherwise() {
         let near = nearest_epipolar_pair(&f, &pair);
         assert!(sampson_distance_px(&f, &near).abs() < 1e-4);
         let moved = (near.first - pair.first).norm().hypot((near.second - pair.second).norm());
-        // To first order the distance is Sampson's, and no pair on the lines can be nearer.
+        // To first order the displacement is Sampson's distance, and no pair on the lines can be
+        // closer.
         assert!((moved - sampson_distance_px(&f, &pair).abs()).abs() < 0.01);
     }
 }
