@@ -1,5 +1,5 @@
-//! Where a board is, seen by a camera whose lens is known: both poses where a flat board leaves
-//! two.
+//! The pose of a board in a camera with a known lens: both poses where a flat board leaves an
+//! ambiguity.
 
 use nalgebra::{Matrix3, Matrix6, Vector3};
 
@@ -13,28 +13,28 @@ use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
 
-/// A pose that explains a view.
+/// A pose that fits a view.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BoardPose {
-    /// Where the board is.
+    /// The board's pose.
     pub camera_from_board: Pose,
-    /// Root mean square of the distance between seen and projected, in pixels.
+    /// Root mean square of the reprojection error, in pixels.
     pub rms_px: f64,
-    /// Covariance for corners with a standard deviation of their `std_px`: a rotation about the
-    /// camera's axes (radians) and a translation of the view's mean point (meters).
+    /// Covariance for corners with standard deviations `std_px`: of a rotation about the camera's
+    /// axes (radians) and a translation of the view's mean point (meters).
     pub covariance: Matrix6<f64>,
 }
 
-/// Rotations smaller than this, in radians, are one pose.
+/// Poses with a smaller difference in rotation, in radians, are the same.
 const SAME: f64 = 1e-4;
 
-/// The poses that explain `view` under `lens`, best first: one, or for a flat board seen from far
-/// the one with its tilt reversed too (D. Oberkampf, D. DeMenthon, L. Davis, *Iterative pose
-/// estimation using coplanar feature points*, 1996). How much worse the second is, against the
-/// corners' noise, shows whether the first is certain.
+/// The poses that fit `view` under `lens`, best first: one, or for a distant flat board also the
+/// one with reversed tilt (D. Oberkampf, D. DeMenthon, L. Davis, *Iterative pose estimation using
+/// coplanar feature points*, 1996). Whether the first is certain follows from how much worse the
+/// second fits, relative to the corners' noise.
 ///
 /// # Errors
-/// Numbers that are not finite, or a view that determines no pose.
+/// A number is not finite, or the view determines no pose.
 pub fn board_poses(lens: &Lens, view: &BoardView) -> Result<Vec<BoardPose>, EstimationError> {
     let problem = CameraProblem { image_size: ImageSize::new(1, 1), views: vec![view.clone()] };
     check(&problem)?;
@@ -61,7 +61,8 @@ pub fn board_poses(lens: &Lens, view: &BoardView) -> Result<Vec<BoardPose>, Esti
     if found.is_empty() { Err(refused()) } else { Ok(found) }
 }
 
-/// The pose with the same image from infinitely far: depth reversed along the line of sight.
+/// Depth reversed along the line of sight: the pose with the same image in the limit of infinite
+/// distance.
 fn tilt_reversed(camera_from_center: &Pose, normal: Vector3<f64>) -> Pose {
     let line_of_sight = camera_from_center.translation().normalize();
     let reversed = |axis: Vector3<f64>| Matrix3::identity() - axis * axis.transpose() * 2.0;
@@ -106,7 +107,8 @@ mod tests {
     use crate::geometry::board::{BoardSize, Chessboard};
     use crate::geometry::camera_matrix::CameraMatrix;
 
-    /// Also one that is not quite flat: points in space would be placed by their noise.
+    /// Holds also for a board that is not quite flat, whose pose would be determined by noise if
+    /// its points were treated as points in space.
     #[test]
     fn an_uneven_board_is_placed_as_a_flat_one_is() {
         let lens =

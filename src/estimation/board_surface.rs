@@ -1,6 +1,6 @@
-//! A board's surface between and beside its measured corners.
+//! A board's surface between and beyond its measured corners.
 //!
-//! The surface is taken as the one through the measured heights whose curvature changes least: the
+//! The surface is the one through the measured heights whose curvature changes least: the
 //! polyharmonic spline of third derivatives (J. Duchon, *Splines minimizing rotation-invariant
 //! semi-norms in Sobolev spaces*, 1977)
 //!
@@ -8,10 +8,10 @@
 //! h(p) = q(p) + Σₖ wₖ U(|p − pₖ|),   U(r) = r⁴ ln r,   Σₖ wₖ q'(pₖ) = 0 for each quadratic q'
 //! ```
 //!
-//! with a quadratic q, so that a bow and a twist are exact and go on beside the corners as they
-//! are. A thin-plate spline (of second derivatives) goes on straight, and loses a fifth of a bow
-//! and a third of a twist at the edge of a board of 9 by 6. The polynomials that the shape was
-//! estimated with have too high a degree to extrapolate beyond the corners.
+//! with a quadratic q, so that a bow and a twist are exact and continue unchanged beyond the
+//! corners. A thin-plate spline (of second derivatives) continues straight, and loses a fifth of a
+//! bow and a third of a twist at the edge of a board of 9 by 6. The polynomials by which the shape
+//! was estimated have too high a degree to extrapolate beyond the corners.
 
 use nalgebra::{DMatrix, DVector, Point3, Vector3};
 
@@ -20,35 +20,35 @@ use crate::geometry::depth_camera::DepthTile;
 use crate::geometry::lens::Lens;
 use crate::geometry::pose::Pose;
 
-/// Heights over a board, as a function of the place on it.
+/// The heights of a board as a function of position.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BoardSurface {
-    /// The middle of the corners and half their extents, in meters: what the spline is solved in,
-    /// so that its equations do not depend on the unit.
+    /// The middle of the corners and half their extents, in meters. The spline is solved in these
+    /// units, so that its equations do not depend on the unit of length.
     middle: [f64; 2],
     half_extent: [f64; 2],
     corners: Vec<[f64; 2]>,
-    /// One a corner, then those of the quadratics, in meters.
+    /// One per corner, then those of the quadratics, in meters.
     weights: DVector<f64>,
 }
 
 /// 1, x, y, x², xy, y².
 const QUADRATICS: usize = 6;
 
-/// Of more corners this many are used, evenly over the board: the heights are polynomials of 55
-/// coefficients, and the time grows with the cube.
+/// The largest number of corners in use, evenly spread over the board: the heights are polynomials
+/// of 55 coefficients, and the time grows with the cube.
 const MOST_CORNERS: usize = 200;
 
-/// Corners whose quadratics have a smallest part below this of the greatest, as a mean square, lie
-/// on a line, in two rows, or on a circle. Of a grid it is 0.02.
+/// The least ratio of eigenvalues of the quadratics at the corners. Below it, corners lie on a
+/// line, in two rows, or on a circle. For a grid it is 0.02.
 const LEAST_PART: f64 = 1e-4;
 
-/// A tile's place follows from the height there: the second round is exact to a thousandth of the
-/// height, for a surface that rises by a thirtieth before rays of 45 degrees.
+/// The position of a tile depends on the height there. The second round is exact to a thousandth of
+/// the height, for a surface that rises by a thirtieth and rays of 45 degrees.
 const PLACE_ROUNDS: usize = 2;
 
 impl BoardSurface {
-    /// `None` for corners that do not determine a quadratic, as those on a line.
+    /// `None` for corners that do not determine a quadratic, such as those on a line.
     pub fn of(board: &MeasuredBoard) -> Option<Self> {
         let spans = [0, 1].map(|axis| {
             let places = board.points.iter().map(|point| point[axis]);
@@ -85,21 +85,21 @@ impl BoardSurface {
         is_finite.then_some(Self { corners, weights, ..surface })
     }
 
-    /// A place in units of half the greater extent, about the middle.
+    /// A position relative to the middle, in units of half the greater extent.
     fn placed(&self, x: f64, y: f64) -> [f64; 2] {
         let unit = self.half_extent[0].max(self.half_extent[1]);
         [(x - self.middle[0]) / unit, (y - self.middle[1]) / unit]
     }
 
-    /// At a place, in units of the extent along each axis.
+    /// The quadratics at a position, in units of the extent along each axis.
     fn quadratics(&self, at: &[f64; 2]) -> [f64; QUADRATICS] {
         let unit = self.half_extent[0].max(self.half_extent[1]);
         let [x, y] = [0, 1].map(|k| at[k] * unit / self.half_extent[k]);
         [1.0, x, y, x * x, x * y, y * y]
     }
 
-    /// How far the surface is from the board's plane at (x, y) in the board frame, in meters, along
-    /// the board's z.
+    /// The height of the surface above the board's plane at (x, y) in the board frame, in meters,
+    /// along the board's z.
     pub fn height_m(&self, x: f64, y: f64) -> f64 {
         let at = self.placed(x, y);
         let splines = self.corners.iter().map(|corner| spline(&at, corner));
@@ -107,9 +107,9 @@ impl BoardSurface {
         values.zip(self.weights.iter()).map(|(value, weight)| value * weight).sum()
     }
 
-    /// What a depth camera with `lens` would have measured of the board's plane in place of its
-    /// surface: along a ray 1/z is inverse to the plane's distance d from the camera, and the
-    /// surface at height h is a part of the plane at d + h. `None` where the lens sees nothing.
+    /// What a depth camera with `lens` would have measured if the board were its plane. Along a
+    /// ray, 1/z is inverse to the plane's distance d from the camera, and the surface at height h
+    /// lies on the plane at d + h. `None` where the lens has no ray for the pixel.
     pub fn on_plane(
         &self,
         lens: &Lens,
@@ -131,13 +131,13 @@ impl BoardSurface {
     }
 }
 
-/// U of the distance between two places.
+/// U of the distance between two positions.
 fn spline(a: &[f64; 2], b: &[f64; 2]) -> f64 {
     let square = (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2);
     if square > 0.0 { 0.5 * square * square * square.ln() } else { 0.0 }
 }
 
-/// All points, or so many of them that each is as far as can be from those before it.
+/// All points; or of many, a sample in which each is the farthest from those before it.
 fn evenly(points: &[Point3<f64>]) -> Vec<usize> {
     if points.len() <= MOST_CORNERS {
         return (0..points.len()).collect();
@@ -163,7 +163,8 @@ mod tests {
 
     const SQUARE_M: f64 = 0.03;
 
-    /// A board of so many corners with these heights over (x, y), which are 1 at its outer corners.
+    /// A board of this many corners with these heights over (x, y), which are ±1 at its outer
+    /// corners.
     fn board([cols, rows]: [u32; 2], height_m: impl Fn(f64, f64) -> f64) -> MeasuredBoard {
         let points: Vec<Point3<f64>> = (0..cols * rows)
             .map(|k| Point3::new(f64::from(k % cols), f64::from(k / cols), 0.0) * SQUARE_M)
@@ -187,7 +188,7 @@ mod tests {
         0.002 * (1.0 - x * x) + 0.002 * x * y + 0.001 * (2.0 * x + y).sin()
     }
 
-    /// The largest error between corners, and from them to 0.8 squares beside them, in meters.
+    /// The largest errors between corners, and up to 0.8 squares beyond them, in meters.
     fn largest_errors(size: [u32; 2]) -> [f64; 2] {
         let surface = BoardSurface::of(&board(size, uneven)).unwrap();
         let half = size.map(|count| 0.5 * f64::from(count - 1));

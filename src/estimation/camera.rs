@@ -1,5 +1,5 @@
-//! One camera from views of a board: lens, poses, what was rejected and why, and the covariance of
-//! everything.
+//! The calibration of one camera from views of a board: lens, poses, rejected views with the
+//! reason, and all covariances.
 
 pub use crate::estimation::camera_estimate::{CameraEstimate, ViewEstimate};
 use crate::estimation::camera_estimate::{Part, assemble};
@@ -19,8 +19,8 @@ use crate::estimation::problem::{CameraProblem, GivenParameter, LensChoice, chec
 use crate::estimation::start::Prepared;
 use crate::geometry::lens::LensModel;
 
-/// Whether a lens of `model` has the parameters that are `given`, by name, and may have these
-/// values.
+/// Checks that a lens of `model` has the `given` parameters, by name, and that their values are
+/// possible.
 ///
 /// # Errors
 /// [`EstimationError::UnknownParameter`], [`EstimationError::GivenValue`].
@@ -29,13 +29,13 @@ pub fn check_given(model: LensModel, given: &[GivenParameter]) -> Result<(), Est
     FreeLens::from_options(model, &options).map(|_| ())
 }
 
-/// Calibrates a camera: Zhang's closed form for a start (or `options.start`), then
-/// Levenberg–Marquardt over the lens and all poses, against corners and views chosen robustly.
+/// Calibrates a camera: starts from Zhang's closed form (or `options.start`), then runs
+/// Levenberg–Marquardt over the lens and all poses, with a robust selection of corners and views.
 /// Deterministic.
 ///
 /// # Errors
-/// Numbers that are not finite, too few usable views, views that leave the lens open: each says
-/// what to do.
+/// Numbers that are not finite, too few usable views, or views that do not determine the lens. Each
+/// error says what to do.
 pub fn calibrate_camera(
     problem: &CameraProblem,
     options: &CameraOptions,
@@ -58,10 +58,10 @@ pub fn calibrate_and_check(
     Ok((estimate, check))
 }
 
-/// As [`calibrate_and_check`], and where views differ by more than their corners' scatter explains,
-/// with the covariance of the lens from solves without some of them: as many solves again. Where a
-/// larger lens model than the one asked for predicts views better, the difference from it counts
-/// as an error of the lens.
+/// As [`calibrate_and_check`]. Where the scatter between views exceeds that of their corners, the
+/// covariance of the lens comes from repeated solves without some of the views, which take as long
+/// again as many solves. Where a larger lens model than the requested one predicts views better,
+/// the difference from it counts as an error of the lens.
 ///
 /// # Errors
 /// As [`calibrate_camera`].
@@ -95,8 +95,8 @@ fn solve(
     solved
 }
 
-/// `error`, or, where other lenses are determined by these views, that the lens's own coefficient
-/// is not.
+/// `error`; or, where these views do determine another lens model, an error that names the
+/// undetermined coefficient of this one.
 fn of_lens_or_views(
     error: EstimationError,
     problem: &CameraProblem,
@@ -120,11 +120,11 @@ fn of_lens_or_views(
     }
 }
 
-/// Weights that are nearer to equal bring the rms down: a second solve whose rms is this many times
-/// that of the first ended in another minimum.
+/// More equal weights lower the rms. So a second solve whose rms is this many times that of the
+/// first ended in another minimum.
 const ANOTHER_MINIMUM: f64 = 1.5;
 
-/// Solves again with the noise floor that the first solve shows.
+/// Solves a second time, with the noise floor that the first solve shows.
 fn solve_twice(
     problem: &CameraProblem,
     options: &CameraOptions,
@@ -152,16 +152,16 @@ fn solve_twice(
     }
 }
 
-/// Which minima of the cost are asked for.
+/// Which minima of the cost are searched for.
 #[derive(Clone, Copy, PartialEq)]
 enum Minima {
-    /// That which a descent from the start ends in.
+    /// The one that iterations from the start reach.
     Nearest,
     /// Where the model may have two, the closer fit ([`crate::estimation::other_minimum`]).
     BothSides,
 }
 
-/// As [`solve`], with an error of `noise_floor_px` added to every corner's own.
+/// As [`solve`], with `noise_floor_px` added to every corner's own standard deviation.
 fn solve_weighted(
     problem: &CameraProblem,
     noise_floor_px: f64,

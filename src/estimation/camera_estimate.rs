@@ -1,5 +1,5 @@
-//! What a fit says of a camera: lens, poses, what was rejected and why, and the covariance of
-//! everything.
+//! The estimate of a camera from a fit: lens, poses, rejected views with the reason, and all
+//! covariances.
 
 use nalgebra::{DMatrix, Matrix6, Vector3};
 
@@ -33,26 +33,25 @@ pub struct CameraEstimate {
     /// The noise floor, in pixels: a common standard deviation, added in quadrature to every
     /// corner's own `std_px`. Estimated by maximum likelihood.
     pub noise_floor_px: f64,
-    /// The noise estimated from the residuals: the factor on each corner's `std_px`, with
-    /// [`Self::noise_floor_px`] in it.
+    /// The noise estimated from the residuals, as a factor on each corner's `std_px` with
+    /// [`Self::noise_floor_px`] added.
     pub noise: f64,
     /// Variance inflation: the ratio to the variances for independent corners, 1 unless residuals
     /// within a view are correlated. All covariances include it.
     pub variance_inflation: f64,
-    /// Root mean square over the used corners of the distance between seen and projected, in
-    /// pixels.
+    /// Root mean square of the reprojection error over the used corners, in pixels.
     pub rms_px: f64,
     /// Every view of the problem, in order.
     pub views: Vec<ViewEstimate>,
     /// The board's shape, where the views show one.
     pub board_shape: Option<MeasuredBoard>,
-    /// Motion while rows were read, where the views show it.
+    /// Motion during the read-out, where the views show it.
     pub rolling_shutter: Option<RollingShutter>,
     /// The models that were compared, where the choice was left open; the chosen one is
     /// [`Self::lens`]'s.
     pub compared: Vec<LensTrial>,
-    /// Another lens of the same model that fits the views as closely as [`Self::lens`];
-    /// [`Self::lens_covariance`] is about [`Self::lens`] alone, [`Self::lens_std`] counts both.
+    /// Another lens of the same model that fits the views as closely as [`Self::lens`].
+    /// [`Self::lens_covariance`] is about [`Self::lens`] alone; [`Self::lens_std`] includes both.
     pub other_minimum: Option<OtherMinimum>,
 }
 
@@ -63,9 +62,9 @@ pub struct ViewEstimate {
     pub name: String,
     /// Why it is not in use; `None` if it is.
     pub fault: Option<ViewFault>,
-    /// Where the board was; for a view that is not in use the best guess, if there is one.
+    /// The board's pose; for a view that is not in use the best guess, if there is one.
     pub camera_from_board: Option<Pose>,
-    /// How the board moved while the view's rows were read; `None` without a rolling shutter.
+    /// The board's motion during the view's read-out; `None` without a rolling shutter.
     pub motion: Option<ViewMotion>,
     /// Covariance of that pose, as a rotation about the camera's axes (radians) and a translation
     /// of the problem's mean point (meters); `None` for a view that is not in use.
@@ -73,7 +72,8 @@ pub struct ViewEstimate {
     /// Root mean square over the corners in use (over all of them in a view that is not), in
     /// pixels.
     pub rms_px: Option<f64>,
-    /// Measured minus projected of each corner, in pixels; infinite where nothing is projected.
+    /// Measured minus projected position of each corner, in pixels; infinite where it cannot be
+    /// projected.
     pub residuals_px: Vec<[f64; 2]>,
     /// Which corners are in use: the inliers, unless the whole view is left out.
     pub used: Vec<bool>,
@@ -85,7 +85,8 @@ impl CameraEstimate {
     pub fn lens_std(&self) -> Vec<f64> {
         let mut variances: Vec<f64> = self.lens_covariance.diagonal().iter().copied().collect();
         if let Some(OtherMinimum { lens, probability }) = &self.other_minimum {
-            // At even odds the one that is wrong is off by the whole distance.
+            // At even odds, the error is the whole distance to the other lens where this one is
+            // wrong.
             let odds = probability / (1.0 - probability);
             let pairs = lens.parameters().into_iter().zip(self.lens.parameters());
             for (variance, (other, own)) in variances.iter_mut().zip(pairs) {
@@ -95,7 +96,7 @@ impl CameraEstimate {
         variances.into_iter().map(f64::sqrt).collect()
     }
 
-    /// What to start from when views are added.
+    /// The start of a solve with more views.
     pub fn to_start(&self) -> CameraStart {
         let good =
             |view: &ViewEstimate| view.fault.is_none().then_some(view.camera_from_board).flatten();
@@ -103,20 +104,20 @@ impl CameraEstimate {
         CameraStart { lens: self.lens, camera_from_board, noise_floor_px: self.noise_floor_px }
     }
 
-    /// The share of all corners that are not in use.
+    /// The part of all corners that is not in use.
     pub fn outlier_fraction(&self) -> f64 {
         let corners = || self.views.iter().flat_map(|view| &view.used);
         corners().filter(|used| !**used).count() as f64 / corners().count().max(1) as f64
     }
 }
 
-/// Which part of a fit is one camera's.
+/// One camera's part of a fit.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Part {
     pub(crate) sensor: usize,
     /// Its first observation; the others follow, one per view.
     pub(crate) first_observation: usize,
-    /// What its corners' standard deviations were multiplied by.
+    /// The factor by which its corners' standard deviations were multiplied.
     pub(crate) noise: f64,
 }
 
@@ -125,7 +126,7 @@ impl Part {
     pub(crate) const WHOLE: Self = Self { sensor: 0, first_observation: 0, noise: 1.0 };
 }
 
-/// What a fit says of one of its cameras.
+/// The estimate of one camera of a fit.
 pub(crate) fn assemble(
     problem: &CameraProblem,
     prepared: &Prepared,
@@ -170,15 +171,15 @@ pub(crate) fn assemble(
     })
 }
 
-/// One camera of a fit, with the covariance of what was fitted.
+/// One camera of a fit, with the covariance of its parameters.
 struct FittedPart<'a> {
     fit: &'a CameraFit,
     part: Part,
-    /// Of all global parameters, for noise of unit variance.
+    /// The covariance of all global parameters, for noise of unit variance.
     unit: &'a DMatrix<f64>,
-    /// Of the lens's free parameters, with how views differ in it, for noise of unit variance.
+    /// The covariance of the lens's free parameters, including the scatter between views.
     of_lens: Clustered,
-    /// The noise's variance, in units of the corners' own.
+    /// The variance of the noise, as a factor on the corners' own variances.
     noise_square: f64,
 }
 
@@ -210,12 +211,13 @@ impl<'a> FittedPart<'a> {
         &self.fit.layout.sensors[self.part.sensor]
     }
 
-    /// Of all parameters of the lens, with what is not known of a rolling shutter and of the model.
+    /// The covariance of all parameters of the lens, with the uncertainty about a rolling shutter
+    /// and about the model.
     fn lens_covariance(&self) -> DMatrix<f64> {
         let by_free = self.at().lens.all_by_free(self.lens());
         let mut covariance = &by_free * &self.of_lens.covariance * by_free.transpose();
         if let Some(doubt) = &self.fit.shutter_doubt {
-            // How views differ has the shutter's part in it.
+            // The scatter between views already includes the shutter's part.
             covariance += doubt * doubt.transpose() * (1.0 - self.of_lens.weight);
         }
         if let Some(between_models) = &self.fit.between_models {
@@ -224,15 +226,15 @@ impl<'a> FittedPart<'a> {
         covariance
     }
 
-    /// The first focal length that the views leave open, as its index, with its standard deviation
-    /// in pixels.
+    /// The index of the first focal length that the views do not determine, with its standard
+    /// deviation in pixels.
     fn open_focal(&self) -> Option<(usize, f64)> {
         let (at, lens) = (self.at(), self.lens());
         let (by_free, free) = (at.lens.all_by_free(lens), at.lens.free.len());
         let of_lens = self.unit.view((at.lens_at, at.lens_at), (free, free));
         [0, 1].into_iter().find_map(|axis| {
-            // Corners that fit exactly must not determine a lens that noise of 0.01 σ per corner
-            // would leave open.
+            // Noiseless corners must not determine a lens that noise of 0.01 σ per corner would
+            // leave undetermined.
             let of_unit_noise = by_free.row(axis) * of_lens * by_free.row(axis).transpose();
             let std = (of_unit_noise[(0, 0)] * self.of_lens.factor).sqrt()
                 * self.noise_square.sqrt().max(LEAST_NOISE / self.part.noise);
@@ -241,7 +243,7 @@ impl<'a> FittedPart<'a> {
         })
     }
 
-    /// The view of observation `index`; poses are about `center_in_board` in the fit.
+    /// The view of observation `index`; in the fit, poses are relative to `center_in_board`.
     fn view(&self, name: &str, index: usize, center_in_board: &Vector3<f64>) -> ViewEstimate {
         let Minimum { state, equations, .. } = &self.fit.robust.minimum;
         let (fault, observation, residuals) =
@@ -268,7 +270,7 @@ impl<'a> FittedPart<'a> {
         }
     }
 
-    /// Of the board's pose in observation `index`.
+    /// The covariance of the board's pose in observation `index`.
     fn pose_covariance(&self, index: usize) -> Option<Matrix6<f64>> {
         let inflation = self.of_lens.factor;
         if let Some(effects) = &self.fit.effects {
@@ -293,7 +295,7 @@ fn rms_of_views(views: &[ViewEstimate]) -> f64 {
     (squares / f64::max(corners, 1.0)).sqrt()
 }
 
-/// Why the focal length is not determined, by the board's normals in the views.
+/// The reason why the focal length is not determined, from the board's normals in the views.
 fn undetermined(
     prepared: &Prepared,
     camera_from_board: &[Pose],

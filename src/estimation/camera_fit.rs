@@ -1,4 +1,4 @@
-//! One lens model fitted to the views of one camera, and which views were used.
+//! One lens model fitted to the views of one camera, and the selection of views.
 
 use nalgebra::{DMatrix, DVector, Point3};
 
@@ -15,27 +15,28 @@ use crate::estimation::view_fault::ViewFault;
 use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pose::Pose;
 
-/// A fitted camera, about the common center of its points.
+/// A fitted camera. Points are relative to their common center.
 #[derive(Debug, Clone)]
 pub(crate) struct CameraFit {
     pub(crate) layout: Layout,
     pub(crate) robust: RobustFit,
     pub(crate) observations: Vec<BoardObservation>,
     pub(crate) faults: Vec<Option<ViewFault>>,
-    /// What was found beyond lens and poses; `observations` are then where it puts them.
+    /// Effects beyond lens and poses. With them, the points of `observations` are displaced by
+    /// shape and motion.
     pub(crate) effects: Option<EffectsFit>,
     /// Where a rolling shutter is likely but not significant: the change of the lens's parameters
     /// with it, times the square root of its probability.
     pub(crate) shutter_doubt: Option<DVector<f64>>,
-    /// Where its lens model was chosen: what others would give, each as likely as it is
-    /// ([`crate::estimation::model_averaging`]). Of all parameters of the lens.
+    /// Where the lens model was chosen: the covariance of all parameters of the lens from the other
+    /// models, weighted by their probabilities ([`crate::estimation::model_averaging`]).
     pub(crate) between_models: Option<DMatrix<f64>>,
 }
 
-/// Points that a nearest lens is found by, at most.
+/// The largest number of points by which a nearest lens is found.
 const MAX_POINTS: usize = 600;
 
-/// Views used to compare views with each other, at most: with this many, differences are visible.
+/// The largest number of views that are compared with each other: enough to show differences.
 const MAX_VIEWS: usize = 60;
 
 impl CameraFit {
@@ -65,7 +66,7 @@ impl CameraFit {
         &self.robust.minimum.state.lenses[0]
     }
 
-    /// The variance that the residuals show, in units of the corners' own.
+    /// The variance of the residuals, as a factor on the corners' own variances.
     pub(crate) fn noise_square(&self) -> f64 {
         let used: usize = self
             .observations
@@ -77,12 +78,13 @@ impl CameraFit {
         self.robust.minimum.equations.cost / freedom.max(1.0)
     }
 
-    /// Whether the corners are exact: rounding errors say nothing of the model.
+    /// Whether the corners are noiseless, so that residuals are rounding and show nothing of the
+    /// model.
     pub(crate) fn is_exact(&self) -> bool {
         self.noise_square() < ROUNDING * ROUNDING
     }
 
-    /// The covariance of its first camera's lens parameters, as if no corner were seen better than
+    /// The covariance of its first camera's lens parameters, with a noise of at least
     /// [`LEAST_NOISE`]; `None` where they are not determined.
     pub(crate) fn lens_covariance(&self) -> Option<DMatrix<f64>> {
         let free = &self.layout.sensors[0].lens;
@@ -104,12 +106,12 @@ impl CameraFit {
         (0..self.faults.len()).filter(|view| self.faults[*view].is_none()).collect()
     }
 
-    /// Good views, or enough of them, evenly.
+    /// The good views, or an evenly spaced sample of many.
     pub(crate) fn some_views(&self) -> Vec<usize> {
         self.some_frame_sets().into_iter().flatten().collect()
     }
 
-    /// The corners in use of one camera, or enough of them, in the camera's frame.
+    /// The corners in use of one camera, or a sample of many, in the camera's frame.
     pub(crate) fn some_points_in_camera(&self) -> Vec<Point3<f64>> {
         let state = &self.robust.minimum.state;
         let of_view = |view: usize| {
@@ -123,8 +125,8 @@ impl CameraFit {
         points.into_iter().step_by(step).collect()
     }
 
-    /// The good observations of each frame set, by index: of all frame sets that have any, or of
-    /// enough of them, evenly. For a camera by itself a frame set is a view.
+    /// The good observations of each frame set, by index: of all frame sets that have any, or of an
+    /// evenly spaced sample of many. For a single camera, a frame set is a view.
     pub(crate) fn some_frame_sets(&self) -> Vec<Vec<usize>> {
         let mut all: Vec<Vec<usize>> =
             vec![Vec::new(); self.robust.minimum.state.rig_from_board.len()];
@@ -168,7 +170,7 @@ pub(crate) fn fit_again(
     fit_from(prepared, state, fit.layout.sensors[0].lens.clone(), 1)
 }
 
-/// Fits on from a state; then decides again about every view.
+/// Continues the fit from a state, then decides again about every view.
 fn fit_from(
     prepared: &Prepared,
     state: State,
@@ -210,8 +212,7 @@ fn enough_views(
     Err(EstimationError::TooFewViews { usable, needed, rejected })
 }
 
-/// Readmits, with the lens known, views that were rejected only because no homography explained
-/// them.
+/// With the lens known, readmits views that were rejected only because no homography fitted them.
 fn readmit(prepared: &Prepared, robust: &mut RobustFit, faults: &mut [Option<ViewFault>]) -> bool {
     let mut readmitted = false;
     for (view, fault) in faults.iter_mut().enumerate() {
@@ -227,7 +228,7 @@ fn readmit(prepared: &Prepared, robust: &mut RobustFit, faults: &mut [Option<Vie
     readmitted
 }
 
-/// The pose of a view by itself under a known lens, robustly, with its residuals in standard
+/// The pose of a single view under a known lens, robustly, with its residuals in standard
 /// deviations.
 fn locate(prepared: &Prepared, view: usize, state: &State) -> Option<(Pose, Vec<[f64; 2]>)> {
     let lens = state.lenses[0];
@@ -250,7 +251,7 @@ fn locate(prepared: &Prepared, view: usize, state: &State) -> Option<(Pose, Vec<
     Some((minimum.state.rig_from_board[0], residuals))
 }
 
-/// Names the views that see the board's other side than most.
+/// Marks the views that show the other side of the board than most. Returns whether there are any.
 fn name_mirrored(prepared: &Prepared, state: &State, faults: &mut [Option<ViewFault>]) -> bool {
     let Some(normal) = prepared.board_normal() else { return false };
     let from_behind = |view: usize| {
@@ -260,7 +261,8 @@ fn name_mirrored(prepared: &Prepared, state: &State, faults: &mut [Option<ViewFa
     let good: Vec<usize> = (0..faults.len()).filter(|view| faults[*view].is_none()).collect();
     let (behind, front): (Vec<usize>, Vec<usize>) =
         good.into_iter().partition(|view| from_behind(*view));
-    // A board given left-handed appears mirrored in every view: only the minority is wrong.
+    // A board with left-handed coordinates appears mirrored in every view: only the minority is
+    // wrong.
     let odd = if behind.len() <= front.len() { behind } else { front };
     for view in &odd {
         faults[*view] = Some(ViewFault::Mirrored);
@@ -268,7 +270,7 @@ fn name_mirrored(prepared: &Prepared, state: &State, faults: &mut [Option<ViewFa
     !odd.is_empty()
 }
 
-/// Poses for the unused views, for their residuals to be seen.
+/// Estimates poses of the rejected views, so that their residuals can be shown.
 fn place_rejected_views(prepared: &Prepared, fit: &mut CameraFit) {
     for view in 0..fit.faults.len() {
         let Some(fault) = fit.faults[view] else { continue };
@@ -287,7 +289,7 @@ fn place_rejected_views(prepared: &Prepared, fit: &mut CameraFit) {
     }
 }
 
-/// The rms in pixels of residuals in standard deviations.
+/// The rms in pixels, from residuals in standard deviations.
 pub(crate) fn rms(
     residuals: &[[f64; 2]],
     inverse_std: &[f64],
@@ -303,9 +305,9 @@ pub(crate) fn rms(
     (sum / f64::from(count.max(1))).sqrt()
 }
 
-/// The relative standard deviation of the focal length above which views are refused: a lens known
-/// no better than this is not known.
+/// The largest relative standard deviation of the focal length: with a larger one, the lens counts
+/// as not determined.
 pub(crate) const OPEN_FOCAL: f64 = 0.2;
 
-/// No corner is seen better than this, in units of its own standard deviation.
+/// The least noise that is assumed, in units of the corners' own standard deviations.
 pub(crate) const LEAST_NOISE: f64 = 0.01;

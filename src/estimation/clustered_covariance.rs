@@ -1,17 +1,17 @@
-//! The covariance of parameters when the corners of a view err together. The covariance of a
-//! least-squares estimate takes every corner's error for its own; where something that is not in
-//! the model moves a whole view (a lens that the model cannot follow, a board that is not as it is
-//! stated), views differ by more than their corners' scatter explains, and so do estimates from
-//! other views.
+//! The covariance of parameters when the errors of a view's corners are correlated. The covariance
+//! of a least-squares estimate assumes independent errors. Where a model error moves a whole view
+//! (a lens that the model does not fit, a board that is not as stated), the scatter between views
+//! exceeds that of their corners, and so does the scatter of estimates from other views.
 //!
-//! Each view (of a rig: what all sensors saw at one frame set) asks for a step of the parameters, δ
-//! = C s (its score s, its pose eliminated, with the covariance C for unit noise), whose covariance
-//! is C A C if corners err by themselves, A being the view's part of the information. Without the
-//! view the estimate would move by (1 − C A)⁻¹ δ. The scatter of these over the views is the
-//! clustered covariance (K.-Y. Liang, S. L. Zeger, *Longitudinal data analysis using generalized
-//! linear models*, 1986, in the form CR3 of R. M. Bell and D. F. McCaffrey, 2002: the jackknife
-//! over views, to first order). With few views it is itself uncertain, so it counts the more the
-//! better the steps show that views differ at all, and not at all where chance would explain them.
+//! Each view (for a rig: all observations of one frame set) contributes a step of the parameters, δ
+//! = C s, where s is the view's score with its pose eliminated, and C the covariance for unit
+//! noise. With independent corners the covariance of δ is C A C, where A is the view's part of the
+//! information. Without the view the estimate would move by (1 − C A)⁻¹ δ. The scatter of these
+//! steps over the views is the clustered covariance (K.-Y. Liang, S. L. Zeger, *Longitudinal data
+//! analysis using generalized linear models*, 1986, in the form CR3 of R. M. Bell and D. F.
+//! McCaffrey, 2002: the jackknife over views, to first order). With few views it is itself
+//! uncertain. So its weight grows with the significance of the scatter between views, and is zero
+//! where chance would explain it.
 
 use std::ops::Range;
 
@@ -25,50 +25,50 @@ use crate::estimation::robust_fit::ROUNDING;
 /// Minimum number of views for an estimate of their scatter.
 const MIN_VIEWS: usize = 5;
 
-/// An excess of the squares of steps within this many standard deviations is attributed to chance
-/// (it exceeds that by chance seven times in a hundred). A lower limit would mix in the noisy
-/// scatter of the views; a higher one would understate the covariance.
+/// An excess of the squared steps within this many standard deviations is attributed to chance,
+/// which exceeds it seven times in a hundred. A lower limit would mix in the noisy scatter of the
+/// views; a higher one would understate the covariance.
 const CHANCE: f64 = 1.5;
 
-/// This many standard deviations beyond chance, the clustered covariance and the model's count the
-/// same.
+/// At this many standard deviations beyond chance, the clustered covariance and the model's have
+/// equal weight.
 const EVEN_ODDS: f64 = 2.0;
 
-/// A view's step is corrected for its leverage by this factor at most: beyond, without the view
-/// there would be no estimate.
+/// The largest factor by which a view's step is corrected for its leverage. With a larger one there
+/// would be no estimate without the view.
 const LARGEST_CORRECTION: f64 = 5.0;
 
-/// What one view does to the parameters.
+/// The influence of one view on the parameters.
 #[derive(Debug, Clone)]
 pub(crate) struct Influence {
-    /// The step of the parameters that the view asks for.
+    /// The step of the parameters by this view: δ.
     pub(crate) step: DVector<f64>,
-    /// The covariance of `step` for unit noise, if corners err by themselves and the estimate did
-    /// not follow them.
+    /// The covariance of `step` for unit noise, with independent corners, before the estimate
+    /// follows them.
     pub(crate) expected: DMatrix<f64>,
-    /// How much of that the estimate took up.
+    /// The part of it that the estimate absorbs.
     pub(crate) taken_up: DMatrix<f64>,
 }
 
-/// A covariance, and how much larger its influences are than those of corners by themselves.
+/// A covariance, and its excess over that with independent corners.
 #[derive(Debug, Clone)]
 pub(crate) struct Clustered {
     pub(crate) covariance: DMatrix<f64>,
-    /// The factor on variances, 1 or more.
+    /// The factor on variances (variance inflation), 1 or more.
     pub(crate) factor: f64,
-    /// What part of `covariance` is the views' own, from 0 to below 1.
+    /// The part of `covariance` that comes from the scatter between views, from 0 to below 1.
     pub(crate) weight: f64,
 }
 
 impl Influence {
-    /// Of a view whose step is `step` and has this covariance, where parameters have a covariance
-    /// the inverse of which is `inverse`.
+    /// Of a view with this `step`, whose covariance is `expected`. `inverse` is the inverse of the
+    /// parameters' covariance.
     pub(crate) fn of(step: DVector<f64>, expected: DMatrix<f64>, inverse: &DMatrix<f64>) -> Self {
         let taken_up = &expected * inverse * &expected;
         Self { step, expected, taken_up }
     }
 
-    /// By how much the estimate would move without the view: (1 − C A)⁻¹ δ.
+    /// The change of the estimate without the view: (1 − C A)⁻¹ δ.
     fn without(&self, inverse: &DMatrix<f64>) -> DVector<f64> {
         let size = self.step.len();
         let rest = DMatrix::identity(size, size) - &self.expected * inverse;
@@ -86,12 +86,12 @@ impl Influence {
     }
 }
 
-/// The covariance of all global parameters of a fit, with what each of its views does to them.
+/// The covariance of all global parameters of a fit, with the influence of each of its views.
 #[derive(Debug, Clone)]
 pub(crate) struct FitCovariance {
     /// For unit noise.
     pub(crate) unit: DMatrix<f64>,
-    /// In units of the parameters' own deviations, `scale`.
+    /// In units of the parameters' standard deviations, `scale`.
     influences: Vec<Influence>,
     scale: DVector<f64>,
     noise_square: f64,
@@ -99,13 +99,13 @@ pub(crate) struct FitCovariance {
 }
 
 impl FitCovariance {
-    /// `None` where the views leave parameters open.
+    /// `None` where the views do not determine all parameters.
     pub(crate) fn of(fit: &CameraFit) -> Option<Self> {
         let equations = &fit.robust.minimum.equations;
         let unit = equations.global_covariance()?;
-        // Parameters differ by orders of magnitude: in units of their own deviations.
+        // Parameters differ by orders of magnitude, hence units of their standard deviations.
         let scale = deviations(&unit);
-        // What was found beyond lens and poses has a covariance of its own.
+        // A fit with effects has its own covariance (`effects`).
         let influences = if fit.effects.is_some() || fit.is_exact() || unit.is_empty() {
             Vec::new()
         } else {
@@ -115,21 +115,21 @@ impl FitCovariance {
         Some(Self { unit, influences, scale, noise_square, frame_sets })
     }
 
-    /// Of parameters whose covariance for unit noise is `unit`, from all views.
+    /// From all views, for parameters whose covariance for unit noise is `unit`.
     pub(crate) fn of_views(unit: DMatrix<f64>, noise_square: f64, views: &[ReducedView]) -> Self {
         let scale = deviations(&unit);
         let influences = of_parts(&unit, &scale, views.iter().cloned()).unwrap_or_default();
         Self { unit, influences, scale, noise_square, frame_sets: views.len() }
     }
 
-    /// That of all parameters.
+    /// The covariance of all parameters.
     pub(crate) fn all(&self) -> DMatrix<f64> {
         self.block(0..self.unit.nrows()).covariance
     }
 
     /// As [`Self::block`], but never below the observed influence of the views, significant or not.
     /// For independent corners it overestimates variances by √(1 / (π · views · parameters)): half
-    /// the mean size of what chance makes of the influences.
+    /// the mean size of chance influences.
     pub(crate) fn block_as_seen(&self, block: Range<usize>) -> Clustered {
         let known = self.block(block.clone());
         if self.influences.len() < MIN_VIEWS {
@@ -146,7 +146,7 @@ impl FitCovariance {
         Clustered { covariance: known.covariance * widened, ..known }
     }
 
-    /// That of the parameters in `block`.
+    /// The covariance of the parameters in `block`.
     pub(crate) fn block(&self, block: Range<usize>) -> Clustered {
         let size = block.len();
         let all = in_units(&self.unit, &self.scale);
@@ -174,8 +174,8 @@ fn in_units(m: &DMatrix<f64>, scale: &DVector<f64>) -> DMatrix<f64> {
     DMatrix::from_fn(m.nrows(), m.ncols(), |i, j| m[(i, j)] / (scale[i] * scale[j]))
 }
 
-/// What each view of a fit (or enough of them) does to all its global parameters, whose covariance
-/// for unit noise is `unit`, in units of `scale`.
+/// The influence of each view of a fit (or of a sample of many) on all its global parameters, whose
+/// covariance for unit noise is `unit`, in units of `scale`.
 fn influences(
     fit: &CameraFit,
     unit: &DMatrix<f64>,
@@ -190,12 +190,12 @@ fn influences(
     of_parts(unit, scale, fit.some_frame_sets().into_iter().filter_map(of_frame_set))
 }
 
-/// The deviations of parameters with this covariance.
+/// The standard deviations of parameters with this covariance.
 fn deviations(unit: &DMatrix<f64>) -> DVector<f64> {
     unit.diagonal().map(|v| v.max(f64::MIN_POSITIVE).sqrt())
 }
 
-/// What views that say this do to parameters whose covariance for unit noise is `unit`, in units of
+/// The influence of `views` on parameters whose covariance for unit noise is `unit`, in units of
 /// `scale`.
 fn of_parts(
     unit: &DMatrix<f64>,
@@ -214,10 +214,10 @@ fn of_parts(
     Some(views.map(of_view).collect())
 }
 
-/// The covariance of parameters whose covariance for unit noise is `unit`, from what some of the
-/// views do to them and how many views there are; `without` gives by how much the estimate would
-/// move without each of those, and is asked only where it counts. All in units of the parameters'
-/// own deviations.
+/// The covariance of parameters whose covariance for unit noise is `unit`, from the influences of a
+/// sample of the views, and the number of all views. `without` computes the change of the estimate
+/// without each of the sample, and is called only where that is needed. All in units of the
+/// parameters' standard deviations.
 pub(crate) fn clustered(
     unit: &DMatrix<f64>,
     noise_square: f64,
@@ -232,8 +232,8 @@ pub(crate) fn clustered(
     combined(unit, noise_square, influences, views, without).unwrap_or(plain)
 }
 
-/// By how much the squares of the views' influences exceed those of corners by themselves, as a
-/// part of these, and the standard deviation of that by chance.
+/// The relative excess of the squared influences of views over those of independent corners, and
+/// its standard deviation by chance.
 struct Excess {
     part: f64,
     std: f64,
@@ -255,7 +255,7 @@ impl Excess {
     }
 }
 
-/// `None` where nothing shows that views differ, or chance would explain it.
+/// `None` where there is no excess scatter between views, or chance would explain it.
 fn combined(
     unit: &DMatrix<f64>,
     noise_square: f64,
@@ -275,7 +275,7 @@ fn combined(
     covariance.iter().all(|v| v.is_finite()).then_some(Clustered { covariance, factor, weight })
 }
 
-/// The covariance of the estimate by the steps that leave one view out.
+/// The covariance of the estimate from the steps that leave out one view each.
 fn jackknife_covariance(
     influences: &[Influence],
     without: &[DVector<f64>],
@@ -296,7 +296,7 @@ fn jackknife_covariance(
         let off = step - &mean;
         scatter += &off * off.transpose();
     }
-    // Each of all the views moves the estimate as the sampled ones do.
+    // All views are assumed to have influences like those of the sample.
     scatter * ((count - 1.0) / count * (views as f64 / count))
 }
 
@@ -304,7 +304,7 @@ fn jackknife_covariance(
 mod tests {
     use super::*;
 
-    /// A mean of numbers that come in groups, each group with an offset of its own.
+    /// The mean of numbers in groups, each group with its own offset.
     fn group_means(offset: f64) -> Vec<Influence> {
         let (groups, each) = (12, 20);
         let unit = 1.0 / f64::from(groups * each);

@@ -1,24 +1,24 @@
-//! A symmetric board is labeled from either end by chance: what one camera calls its first corner,
-//! a second one may call its last. That the cameras are fixed to each other determines which views
-//! have to be relabeled.
+//! Consistent labels of a symmetric board, which each view may label from either end: the first
+//! corner of one camera may be the last of another. Since the cameras are fixed to each other,
+//! their relative poses determine which views have to be relabeled.
 
 use crate::geometry::median::median;
 use crate::geometry::pose::Pose;
 
-/// The pose that a sensor found of the board by itself in one frame set.
+/// The pose of the board that a sensor found by itself in one frame set.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrameSetPose {
-    /// Which frame set, counted from 0.
+    /// The frame set, counted from 0.
     pub frame_set: usize,
-    /// Where the board was, as this sensor labeled it.
+    /// The board's pose with this sensor's labels.
     pub sensor_from_board: Pose,
 }
 
-/// For each view of each sensor, which of `board_from_labels` to apply: `sensor_from_board ·
-/// board_from_labels` is where the board is when its corners are labeled as the sensor that was
-/// placed first labeled them. These are the rotations that map the board's pattern to itself, the
-/// identity among them. Sensors are placed one after the other, those with the most frame sets
-/// in common first; a view that no other sensor shares keeps its labels.
+/// For each view of each sensor, the index into `board_from_labels` of the symmetry to apply:
+/// `sensor_from_board · board_from_labels` is the board's pose with corners labeled as by the
+/// sensor that was placed first. `board_from_labels` are the rotations that map the board's pattern
+/// to itself, including the identity. Sensors are placed one after the other, those with the most
+/// frame sets in common first. A view whose frame set no other sensor has keeps its labels.
 pub fn consistent_labels(
     sensors: &[Vec<FrameSetPose>],
     board_from_labels: &[Pose],
@@ -66,8 +66,8 @@ pub fn consistent_labels(
     chosen
 }
 
-/// The relative pose that most shared frame sets agree on; `None` for a sensor that shares
-/// none.
+/// The relative pose that is consistent with the most shared frame sets, by the median distance;
+/// `None` for a sensor that shares none.
 fn agreed(
     views: &[FrameSetPose],
     reference_from_board: &[Option<Pose>],
@@ -93,12 +93,12 @@ fn agreed(
         .map(|(_, pose)| pose)
 }
 
-/// The labels under which a pose is nearest to the one that is expected.
+/// The symmetry under which a pose is nearest to the expected one.
 #[derive(Debug, Clone, Copy)]
 struct NearestLabels {
-    /// Which of the board's symmetries.
+    /// The index of the symmetry.
     symmetry: usize,
-    /// How far the pose is from the expected one, in radians plus meters.
+    /// The distance from the expected pose, in radians plus meters.
     distance: f64,
 }
 
@@ -157,7 +157,7 @@ mod tests {
             };
             frame_sets.map(view).collect()
         };
-        // The last sees the board together with the second only.
+        // The last shares frame sets with the second only.
         let sensors = [seen(0, 0..7), seen(1, 2..12), seen(2, 7..12)];
         let chosen = consistent_labels(&sensors, &symmetries);
         for frame_set in 0..12 {

@@ -1,8 +1,8 @@
-//! Which correction a depth camera needs: polynomials over grids from none to fine, compared on
-//! views that were not fitted to.
+//! The choice of a correction for a depth camera: polynomials over grids from none to fine,
+//! compared by cross-validation.
 //!
-//! With the board's planes given, the quantity that is corrected is linear in the coefficients: one
-//! set of normal equations a fold, from which any four of five folds are fitted.
+//! With the board's planes given, the corrected quantity is linear in the coefficients. So one set
+//! of normal equations per fold suffices to fit any four of five folds.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -13,10 +13,10 @@ use crate::geometry::depth_camera::DepthTile;
 use crate::geometry::depth_correction::{CorrectedQuantity, DepthCorrection, SplineGrid};
 use crate::geometry::pixel::ImageSize;
 
-/// A tile, the 1/z that the board's plane has there, and what is to be expected between the two.
+/// A tile, the 1/z of the board's plane there, and the expected scatter between the two.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JudgedTile {
-    /// What was measured.
+    /// The measurement.
     pub tile: DepthTile,
     /// The plane's 1/z, in 1/m.
     pub plane: f64,
@@ -24,44 +24,44 @@ pub struct JudgedTile {
     pub inverse_std: f64,
 }
 
-/// How strongly coefficients are held together, where tiles say little.
+/// The prior that couples coefficients where tiles carry little information.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Smoothness {
-    /// What a term may do to 1/z at the middle of the depths seen, as a part of it: one standard
-    /// deviation.
+    /// One standard deviation of a term's effect on 1/z at the middle of the depths seen, as a part
+    /// of 1/z.
     pub amplitude: f64,
-    /// The same for how much a node may differ from the straight line through its neighbors.
+    /// The same for the deviation of a node from the straight line through its neighbors.
     pub curvature: f64,
 }
 
 /// A correction that was tried.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TriedCorrection {
-    /// In what.
+    /// The corrected quantity.
     pub quantity: CorrectedQuantity,
-    /// How many powers; 0 for no correction.
+    /// Number of powers; 0 for no correction.
     pub terms: usize,
     /// Cells along x and y; 0 for a constant.
     pub cells: [u32; 2],
-    /// How smooth.
+    /// The smoothness prior.
     pub smoothness: Smoothness,
     /// Root mean square on held-out views of (corrected − plane) / standard deviation.
     pub held_out: f64,
 }
 
-/// What the comparison of corrections came to.
+/// The result of comparing corrections.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CorrectionChoice {
-    /// The form that is best on held-out views, unfitted; `None` where none is better than no
-    /// correction.
+    /// The form with the least error on held-out views, not fitted; `None` where none is better
+    /// than no correction.
     pub form: Option<DepthCorrection>,
-    /// How smooth that one is.
+    /// Its smoothness prior.
     pub smoothness: Smoothness,
-    /// Everything that was tried.
+    /// All corrections that were tried.
     pub tried: Vec<TriedCorrection>,
 }
 
-/// The weak prior of a correction: its own normal equations.
+/// The weak prior of a correction, as a part of the normal equations.
 pub(crate) struct Prior {
     pub(crate) hessian: DMatrix<f64>,
 }
@@ -113,21 +113,21 @@ impl Prior {
     }
 }
 
-/// A triangulating sensor measures 1/z up to a scale and an offset. A curvature that is common to
-/// the whole image acts like a translation of the sensor along its axis (1/(z + t) = 1/z − t/z² …).
-/// So its mean is held to this part of 1/z at the middle of the depths seen; its variation over the
-/// image is free.
+/// Terms from this power on are curvatures. A triangulating sensor measures 1/z up to a scale and
+/// an offset, and a curvature common to the whole image acts like a translation of the sensor along
+/// its axis (1/(z + t) = 1/z − t/z² …). So the mean curvature has this prior standard deviation, as
+/// a part of 1/z at the middle of the depths seen; its variation over the image is free.
 const LINEAR_TERMS: usize = 2;
 const MEAN_CURVATURE: f64 = 0.002;
 
-/// Views are held out in this many groups, every fifth one together.
+/// The number of folds: every fifth view is held out together.
 const FOLDS: usize = 5;
 
-/// A correction is refused unless it does better than a simpler one by this part.
+/// The least relative improvement by which a correction is preferred to a simpler one.
 const PREFERENCE: f64 = 0.01;
 
-/// Tries corrections on `views` (the tiles of each). `quantities` are those that make sense for the
-/// device. Once `interrupt` was requested nothing more is tried.
+/// Compares corrections on `views` (the tiles of each). `quantities` are those that make sense for
+/// the device. Once `interrupt` was requested no more are tried.
 pub fn choose_correction(
     views: &[Vec<JudgedTile>],
     size: ImageSize,
@@ -148,7 +148,7 @@ pub fn choose_correction(
     };
     tried.push(none);
     let mut best = none;
-    // The normal equations of a form serve every smoothness.
+    // The normal equations of a form are the same for every smoothness.
     let attempt =
         |quantity, terms, cells: [u32; 2], smooth: &[Smoothness]| -> Vec<TriedCorrection> {
             if interrupt.is_requested() {
@@ -222,8 +222,8 @@ struct Fold {
     right: DVector<f64>,
 }
 
-/// A tile's residual without correction, and by the coefficients: of what is corrected, in standard
-/// deviations, with the sign of 1/z.
+/// A tile's residual without correction, and its derivatives by the coefficients: of the corrected
+/// quantity, in standard deviations, with the sign of 1/z.
 fn rows(correction: &DepthCorrection, judged: &JudgedTile, columns: &mut Vec<(usize, f64)>) -> f64 {
     columns.clear();
     correction_columns(correction, &judged.tile, |index, value| {
@@ -237,8 +237,8 @@ fn rows(correction: &DepthCorrection, judged: &JudgedTile, columns: &mut Vec<(us
     off * judged.inverse_std
 }
 
-/// Corrected 1/z minus the plane's, in 1/m, where what is corrected is `off` by so many standard
-/// deviations ([`rows`]).
+/// Corrected 1/z minus the plane's, in 1/m, where the error of the corrected quantity is `off`
+/// standard deviations ([`rows`]).
 fn off_plane(quantity: CorrectedQuantity, judged: &JudgedTile, off: f64) -> f64 {
     let off = off / judged.inverse_std;
     match quantity {
@@ -301,8 +301,8 @@ fn folds(views: &[Vec<JudgedTile>], form: &DepthCorrection) -> Vec<Fold> {
     folds
 }
 
-/// The group of each view: those that have depth are dealt to one after the other; a view without is
-/// in the first, where it counts for nothing.
+/// The fold of each view. Those with depth are assigned in rotation; a view without depth is in the
+/// first fold, where it has no effect.
 fn fold_of_each(views: &[Vec<JudgedTile>]) -> impl Iterator<Item = usize> + '_ {
     let mut with_depth = 0;
     views.iter().map(move |view| {
@@ -312,7 +312,7 @@ fn fold_of_each(views: &[Vec<JudgedTile>]) -> impl Iterator<Item = usize> + '_ {
     })
 }
 
-/// What the fit to the other groups leaves of each view.
+/// The residuals of each view under the fit to the other folds.
 fn residuals_of(
     views: &[Vec<JudgedTile>],
     folds: &[Fold],
@@ -346,7 +346,7 @@ mod tests {
     use super::*;
     use crate::geometry::pixel::Pixel;
 
-    /// Ten views of planes from 0.4 to 3 m, all of them read as 5 cm farther.
+    /// Ten views of planes from 0.4 to 3 m, all measured 5 cm too far.
     fn too_far() -> Vec<Vec<JudgedTile>> {
         let tile = |view: u32, k: u32| {
             let z = 0.4 + 0.26 * f64::from(view) + 0.01 * f64::from(k);

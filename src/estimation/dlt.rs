@@ -21,7 +21,7 @@ use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pose::Pose;
 
-/// What the direct linear transform finds.
+/// The result of the direct linear transform.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DltEstimate {
     /// The linear solution: maps homogeneous points to homogeneous pixels; the first three entries
@@ -32,7 +32,7 @@ pub struct DltEstimate {
     pub camera: CameraEstimate,
 }
 
-/// The ratio of the points' thickness to their width below which they count as one plane.
+/// The least ratio of the points' thickness to their width; below it they count as coplanar.
 const THICKNESS: f64 = 1e-3;
 
 /// The least second-smallest singular value, relative to the largest. Below it the null space has
@@ -42,7 +42,7 @@ const ALONE: f64 = 1e-7;
 /// The projection matrix of the points of one view, scaled as in [`DltEstimate::projection`].
 ///
 /// # Errors
-/// Fewer than 6 points, or points that determine no projection, as those on a plane.
+/// Fewer than 6 points, or points that determine no projection, such as coplanar ones.
 pub fn projection_matrix(seen: &[Correspondence]) -> Result<Matrix3x4<f64>, EstimationError> {
     if seen.len() < 6 {
         return Err(EstimationError::TooFewPoints { points: seen.len() });
@@ -97,10 +97,10 @@ pub fn projection_matrix(seen: &[Correspondence]) -> Result<Matrix3x4<f64>, Esti
     scaled.iter().all(|v| v.is_finite()).then_some(scaled).ok_or(EstimationError::Coplanar)
 }
 
-/// The right singular vector of the smallest singular value, as a projection; `None` where it is
-/// not alone.
+/// The right singular vector of the smallest singular value, as a projection; `None` where the null
+/// space has more than one dimension.
 fn null_vector(mut rows: DMatrix<f64>) -> Option<Matrix3x4<f64>> {
-    // The iteration for singular values does not end on what is not finite.
+    // The singular value iteration does not end on numbers that are not finite.
     if !rows.iter().all(|v| v.is_finite()) {
         return None;
     }
@@ -117,7 +117,7 @@ fn null_vector(mut rows: DMatrix<f64>) -> Option<Matrix3x4<f64>> {
 }
 
 /// K, R and t of a projection matrix: K upper triangular with a positive diagonal, R a rotation (RQ
-/// decomposition). `None` for a camera at infinity, or a matrix that only a mirror could make.
+/// decomposition). `None` for a camera at infinity, or a matrix of a mirrored camera.
 pub fn camera_from_projection(projection: &Matrix3x4<f64>) -> Option<(CameraMatrix, Pose)> {
     let left: Matrix3<f64> = projection.fixed_columns::<3>(0).into_owned();
     let flip = Matrix3::new(0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0);
@@ -136,7 +136,7 @@ pub fn camera_from_projection(projection: &Matrix3x4<f64>) -> Option<(CameraMatr
 }
 
 /// Calibrates a camera without distortion from the one view of `problem`: the linear solution, then
-/// the least distance in the image over K (with skew), R and t.
+/// the least reprojection error over K (with skew), R and t.
 ///
 /// # Errors
 /// More than one view, fewer than 6 points, points that determine no projection, numbers that are

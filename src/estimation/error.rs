@@ -1,5 +1,5 @@
-//! Why an estimate could not be made. What concerns one view only is not an error but that view's
-//! [`crate::estimation::view_fault::ViewFault`].
+//! Why an estimate could not be made. A fault of a single view is not an error, but a
+//! [`crate::estimation::view_fault::ViewFault`] of that view.
 
 /// Why there is no estimate, and what would help.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -101,7 +101,7 @@ pub enum EstimationError {
         "no plausible camera fits these views: check the order of the corners, the board's size in corners, and the image size"
     )]
     NoFit,
-    /// Something is left undetermined by these views.
+    /// A parameter that these views do not determine.
     #[error(
         "these views leave {parameter} open (its standard deviation is {std:.3e} at a value of {value:.3e}): {remedy}"
     )]
@@ -115,7 +115,7 @@ pub enum EstimationError {
         /// What to do.
         remedy: &'static str,
     },
-    /// A coefficient that does what the others and the focal lengths do.
+    /// A coefficient that has the same effect as the others and the focal lengths together.
     #[error(
         "these views do not determine {parameter} of a {model} lens: near 0 it changes images as focal lengths and other coefficients do, all the more where the lens is nearly a pinhole; calibrate with --lens {instead}, which they determine, or hold it, as with --given {parameter}=0"
     )]
@@ -127,7 +127,7 @@ pub enum EstimationError {
         /// A model that the views determine.
         instead: crate::geometry::lens::LensModel,
     },
-    /// A measured board without one of the corners that were seen.
+    /// A measured board that lacks one of the observed corners.
     #[error(
         "the measured board has no corner at ({x_m:.4}, {y_m:.4}) m: give the measurement of this board, of the same corners and the same square"
     )]
@@ -137,7 +137,7 @@ pub enum EstimationError {
         /// The same along y.
         y_m: f64,
     },
-    /// Whoever asked for the estimate does not want it any more.
+    /// An interrupt was requested: the result is no longer needed.
     #[error("the computation was ended before it had a result: start it again")]
     Interrupted,
     /// A view that determines no pose.
@@ -156,7 +156,7 @@ pub enum EstimationError {
         /// The sensor's name.
         sensor: String,
     },
-    /// A sensor of a rig whose every view contradicts the others.
+    /// A sensor of a rig whose every view is inconsistent with the others.
     #[error(
         "sensor `{sensor}` has the board where the others have it in no frame set: give it the frames that were taken when theirs were, of a rig whose sensors are fixed to each other"
     )]

@@ -1,5 +1,5 @@
-//! Which values may be given for images of a size. The bounds are wide: images may be small parts of
-//! larger ones, and a fisheye's image a small circle in a large one.
+//! The values of lens parameters that may be given for images of a size. The bounds are wide:
+//! images may be small crops of larger ones, and a fisheye's image a small circle in a large one.
 
 use std::f64::consts::PI;
 
@@ -7,17 +7,18 @@ use crate::estimation::error::EstimationError;
 use crate::estimation::problem::GivenParameter;
 use crate::geometry::pixel::ImageSize;
 
-/// The least that the longer side of an image shows, in degrees. Chosen: a lens of 1200 mm shows 1.7,
-/// and an image may be a part of one behind a telescope.
+/// The least field of view of the longer side of an image, in degrees. Chosen: a lens of 1200 mm
+/// has 1.7, and an image may be a crop of one behind a telescope.
 const LEAST_DEGREES: f64 = 0.01;
-/// The least of a circle of all directions in an image, as a part of its shorter side. Chosen.
+/// The least diameter of a circle with all directions, as a part of the image's shorter side.
+/// Chosen.
 const LEAST_CIRCLE: f64 = 0.25;
-/// How many sizes of itself an image may lie away from the principal point. Chosen: a hundredth of a
-/// sensor's area may be all that is read.
+/// The largest distance of an image from the principal point, in sizes of the image. Chosen: a
+/// hundredth of a sensor's area may be all that is read.
 const MOST_SIZES: f64 = 10.0;
 
-/// Whether a lens for images of `size` may have the values that are `given`. What is no value of a
-/// lens at all is left to [`crate::estimation::camera::check_given`].
+/// Checks that a lens for images of `size` may have the `given` values. Values that no lens has at
+/// all are left to [`crate::estimation::camera::check_given`].
 ///
 /// # Errors
 /// [`EstimationError::GivenRange`].
@@ -41,7 +42,7 @@ const FOCAL: &str =
     "beyond these they would show less than 0.01 degrees, or all the world in a spot";
 const PRINCIPAL: &str = "the principal point lies in them, or at most ten of their sizes beside them where they are parts of larger ones";
 
-/// By what the image shows: all directions in a circle that may be small, or nearly none.
+/// From the field of view: a small circle with all directions, or nearly a single direction.
 fn focal_range(size: ImageSize) -> [f64; 2] {
     let [half_px, other_px] = [size.width.max(size.height), size.width.min(size.height)]
         .map(|side| 0.5 * f64::from(side));
@@ -49,7 +50,7 @@ fn focal_range(size: ImageSize) -> [f64; 2] {
     [least_px, half_px / (0.5 * LEAST_DEGREES.to_radians()).tan()]
 }
 
-/// An image may be a part of a larger one.
+/// An image may be a crop of a larger one.
 fn principal_range(pixels: u32) -> [f64; 2] {
     [-MOST_SIZES * f64::from(pixels), (1.0 + MOST_SIZES) * f64::from(pixels)]
 }

@@ -1,15 +1,15 @@
-//! How whoever waits for a computation says that nobody does any more.
+//! How a computation is ended early whose result is no longer needed.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::estimation::error::EstimationError;
 
-/// A request to a computation to end early, made from outside. Every clone sees it. A computation
-/// that is never asked to gives the same result with one as without. Default: none can come.
+/// A request from outside to end a computation early, shared by all clones. A computation without a
+/// request gives the same result with an interrupt as without. Default: cannot be requested.
 ///
-/// Iterations test it before each pass over the corners; what they have by then is no result, and
-/// their caller answers [`EstimationError::Interrupted`] in place of it.
+/// Iterations test it before each pass over the corners. Their partial state is no result: the
+/// caller returns [`EstimationError::Interrupted`] instead.
 #[derive(Debug, Clone, Default)]
 pub struct Interrupt(Option<Arc<AtomicBool>>);
 
@@ -19,7 +19,7 @@ impl Interrupt {
         Self(Some(Arc::default()))
     }
 
-    /// Asks the computations that hold a clone to end.
+    /// Requests that the computations that hold a clone end.
     pub fn request(&self) {
         if let Some(requested) = &self.0 {
             requested.store(true, Ordering::Relaxed);
@@ -38,7 +38,7 @@ impl Interrupt {
     }
 }
 
-/// It is not part of what is computed: options that differ in nothing else are equal.
+/// An interrupt is no part of a problem: options that differ in nothing else are equal.
 impl PartialEq for Interrupt {
     fn eq(&self, _: &Self) -> bool {
         true

@@ -1,9 +1,9 @@
-//! The covariance of a lens where views differ by more than their corners' scatter explains, by
-//! solving again without some of them (J. Tukey, *Bias and confidence in not quite large samples*,
-//! 1958; over groups of views where they are many). What a view does to first order
-//! (`clustered_covariance`) holds which corners are believed, and the variances of the board's
-//! shape and of motion, where they are; on photographs these change with the view, and the lens
-//! with them.
+//! The covariance of a lens by a jackknife, where the scatter between views exceeds that of their
+//! corners: repeated solves without some of the views (J. Tukey, *Bias and confidence in not quite
+//! large samples*, 1958; over groups of views where there are many). The first-order influences of
+//! views (`clustered_covariance`) keep the inliers fixed, and so the variances of the board's shape
+//! and of motion, where they are in the model. On photographs these change with the views, and the
+//! lens with them.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -17,14 +17,14 @@ use crate::estimation::problem::{
 };
 use crate::estimation::start::Prepared;
 
-/// Solves, at most: the deviation that they give is itself uncertain by a fifth.
+/// The largest number of solves: their standard deviation is itself uncertain by a fifth.
 const MAX_SOLVES: usize = 16;
 
-/// Fewer give no deviation.
+/// Fewer solves determine no standard deviation.
 const MIN_SOLVES: usize = 5;
 
-/// The estimate with the covariance of its lens as solves without some views show it, where views
-/// differ; `problem` is what was solved, with the deviations that were used.
+/// The estimate, with the covariance of its lens from solves without some of the views where views
+/// differ significantly. `problem` is what was solved, with the standard deviations in use.
 pub(crate) fn with_jackknife(
     problem: &CameraProblem,
     options: &CameraOptions,
@@ -36,14 +36,15 @@ pub(crate) fn with_jackknife(
     }
     let weight = weight_of_views(fit).unwrap_or(0.0);
     let Some(by_solves) = jackknife(problem, options, &estimate, fit) else { return estimate };
-    // What is not to do with views stays: where they hardly differ, so do the solves by chance.
+    // Replaces only the part that comes from the scatter between views: where that is hardly
+    // significant, the solves differ by chance.
     let mut lens_covariance = &estimate.lens_covariance * (1.0 - weight) + by_solves * weight;
     if let Some(between_models) = &fit.between_models {
-        // The solves keep the model.
+        // All solves use the same model, so they do not show its uncertainty.
         lens_covariance += between_models * weight;
     }
     if let Some(doubt) = &fit.shutter_doubt {
-        // The estimate has 1 − weight of it, as it is to be.
+        // Restores the shutter's part to 1 − weight, as in the estimate.
         lens_covariance += doubt * doubt.transpose() * (weight * (1.0 - weight));
     }
     CameraEstimate { lens_covariance, ..estimate }
@@ -74,7 +75,7 @@ fn jackknife(
     })
 }
 
-/// The jackknife covariance of what `solve` gives when it keeps the views, by their index below
+/// The jackknife covariance of what `solve` returns when it uses only the views, by index below
 /// `views`, for which its argument is true; `None` where too few solves succeed.
 pub(crate) fn scatter_without_views(
     views: usize,
@@ -90,12 +91,12 @@ pub(crate) fn scatter_without_views(
     let mean = estimates.iter().sum::<DVector<f64>>() / count;
     let off = estimates.iter().map(|estimate| estimate - &mean);
     let sum: DMatrix<f64> = off.map(|off| &off * off.transpose()).sum();
-    // A group without which no solve succeeds moves the estimate at least as the others do.
+    // A group without which no solve succeeds is assumed to have as much influence as the others.
     Some(sum * ((count - 1.0) / count * (groups as f64 / count)))
 }
 
-/// The lens that some of the views give, begun with the effects that were `found` with all of them:
-/// what single views change of a minimum is asked, not which of several minima a search ends in.
+/// The lens from some of the views, starting from the effects that were `found` with all of them.
+/// It shows how views change one minimum, not in which of several minima a search ends.
 fn lens_of(
     kept: &[usize],
     problem: &CameraProblem,

@@ -1,15 +1,15 @@
-//! Which coefficients of a lens its views determine only together: they trade against each other,
-//! so that projections are known while each number by itself is not.
+//! The coefficients of a lens that its views determine only in combination: they are correlated, so
+//! that projections are known while single values are not.
 
 use nalgebra::Point3;
 
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::{ImageSize, Pixel};
 
-/// The names of the coefficients whose standard deviations, each by itself, move some corner of the
-/// image farther than all coefficients together do: by itself such a coefficient says nothing of
-/// the lens. `lens_std` is in the order of [`Lens::parameter_names`]. Corners that the model does
-/// not see with all coefficients at 0 are left out.
+/// The names of the coefficients whose own standard deviation moves some corner of the image
+/// farther than all coefficients together do: the value of such a coefficient alone has no meaning.
+/// `lens_std` is in the order of [`Lens::parameter_names`]. Corners that the model cannot project
+/// with all coefficients at 0 are left out.
 ///
 /// ```
 /// use plumb::estimation::known_together::known_only_together;
@@ -55,8 +55,8 @@ mod tests {
     use super::*;
     use crate::geometry::lens::LensModel;
 
-    /// A webcam's lens, nearly without distortion: that of `kannala_brandt` is measured from an
-    /// equidistant lens, which it is far from.
+    /// A webcam's lens with hardly any distortion. For `kannala_brandt`, distortion is relative to
+    /// an equidistant lens, from which this one differs by much.
     #[test]
     fn a_coefficient_that_makes_a_lens_straight_is_known() {
         let parameters = [660.0, 660.0, 320.0, 240.0, 0.0, 0.48, -0.39, -5.3, 20.6];

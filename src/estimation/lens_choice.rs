@@ -24,10 +24,9 @@ use crate::geometry::pixel::ImageSize;
 pub struct LensTrial {
     /// The model.
     pub model: LensModel,
-    /// Root mean square error on views that were not fitted to, in pixels, once each of those views
-    /// has its own pose.
+    /// Root mean square error on held-out views, in pixels, with a pose estimated for each.
     pub held_out_rms_px: f64,
-    /// How many parameters were estimated.
+    /// Number of estimated parameters.
     pub parameters: usize,
 }
 
@@ -36,24 +35,24 @@ pub struct LensTrial {
 /// simulated worlds the true model's error was up to 1.5 times that of the best.
 const HOPELESS: f64 = 3.0;
 
-/// The image is compared on this many columns of pixels.
+/// Images are compared on this many columns of pixels.
 pub(crate) const COLUMNS: u32 = 12;
 
-/// Views used in the comparison at most; more do not separate the models further.
+/// The largest number of views in the comparison; more do not separate the models further.
 const MAX_VIEWS: usize = 100;
 
 /// The fit of the chosen model.
 pub(crate) struct ChosenLens {
-    /// Lens and poses alone.
+    /// With lens and poses alone.
     pub(crate) plain: CameraFit,
-    /// With what the views show of the board's shape and motion.
+    /// With the board's shape and motion, where the views show them.
     pub(crate) full: CameraFit,
     pub(crate) compared: Vec<LensTrial>,
 }
 
-/// Fits every model and chooses one. Where the views show more than lens and poses, models are
-/// compared each with the board's shape and the motion that it finds: without, a larger lens is
-/// better because it takes them up (of 96 simulated worlds with an uneven board 50 were given
+/// Fits every model and chooses one. Where the views show more than lens and poses, each model is
+/// compared with the board's shape and the motion that it finds. Otherwise a larger lens would be
+/// better merely because it absorbs them (of 96 simulated worlds with an uneven board 50 were given
 /// another lens than the true one, and errors of up to 4,000 times).
 pub(crate) fn choose_lens(
     prepared: &mut Prepared,
@@ -77,7 +76,8 @@ pub(crate) fn choose_lens(
     let mut with: Vec<CameraFit> = fits.iter().map(full_of).collect();
     start_from_each_other(&fits, &mut with, size, options);
     let mut common = with_common_effects(&fits, &with, size, options);
-    // As the plain ones: beside the board's shape coefficients may cancel that did not before.
+    // The test is repeated: with the board's shape in the model, coefficients may cancel that did
+    // not before.
     let is_sound: Vec<bool> = with
         .iter()
         .zip(&common)
@@ -95,7 +95,7 @@ pub(crate) fn choose_lens(
     Ok(ChosenLens { plain: fits.swap_remove(chosen), full, compared })
 }
 
-/// The fits of all models that have one; those without a pole in the image, where there are any.
+/// The fits of all models that have one; only those without a pole in the image, if there are any.
 fn sound_fits(
     prepared: &mut Prepared,
     options: &CameraOptions,
@@ -115,18 +115,19 @@ fn sound_fits(
     if fits.is_empty() { Err(refusal.unwrap_or(EstimationError::NoFit)) } else { Ok(fits) }
 }
 
-/// Which of some fits of the same views is chosen.
+/// The choice among fits of the same views.
 struct Choice {
     chosen: usize,
-    /// What the other models add to the covariance of the chosen one's lens.
+    /// The covariance that the other models add to the chosen one's lens.
     between_models: Option<DMatrix<f64>>,
-    /// The one that fits most closely; it separates outliers best.
+    /// The fit with the least residuals; it separates outliers best.
     closest: usize,
     trials: Vec<LensTrial>,
 }
 
 impl Choice {
-    /// Of models whose `fits` are compared, and which are `reported` so.
+    /// Compares models by their `fits`; the covariance between models is that of the `reported`
+    /// fits.
     fn among(fits: &[CameraFit], reported: &[CameraFit], size: ImageSize) -> Self {
         let closest = closest_of(fits);
         let views = compared_views(&fits[closest]);
@@ -141,7 +142,8 @@ impl Choice {
             (0..fits.len()).filter_map(compared).collect();
         tried.sort_by_key(|(_, it)| it.trial.fit.lens().model().facts().auto_order);
         let (indices, models): (Vec<usize>, Vec<ComparedModel<'_>>) = tried.into_iter().unzip();
-        // Each is compared with the best so far: one that is beaten may be better than none.
+        // Each is compared with the best so far, since one that loses to it may still be better
+        // than the smallest.
         let mut best = 0;
         for larger in 1..models.len() {
             if models[larger].trial.is_worth_more(&models[best].trial) {
@@ -155,7 +157,7 @@ impl Choice {
             held_out_rms_px: trial.rms_px(&observations[*k]),
             parameters: trial.fit.layout.sensors[0].lens.free.len(),
         };
-        // With one view there is none to hold out: its errors are those of the fit.
+        // A single view cannot be held out: its errors would be those of the fit.
         let shown = if views.len() < 2 { 0 } else { models.len() };
         Self {
             chosen,
@@ -166,7 +168,7 @@ impl Choice {
     }
 }
 
-/// The used views of a fit, or enough of them, evenly.
+/// The used views of a fit, or an evenly spaced sample of many.
 pub(crate) fn compared_views(fit: &CameraFit) -> Vec<usize> {
     let views = fit.good_views();
     views.iter().step_by(views.len().div_ceil(MAX_VIEWS).max(1)).copied().collect()

@@ -1,5 +1,5 @@
-//! Whether a lens model is too simple for the lens. Its own residuals show that poorly, because the
-//! board's shape, the poses and the focal length absorb the error. A model that was chosen is
+//! Whether a lens model is too simple for the lens. Its own residuals hardly show this, because the
+//! board's shape, the poses and the focal length absorb the error. An automatically chosen model is
 //! tested too: the choice takes a larger one only if it is better beyond chance.
 
 use crate::estimation::camera_estimate::CameraEstimate;
@@ -18,24 +18,24 @@ use crate::estimation::uncertainty::{
 };
 use crate::geometry::lens::{Lens, LensModel};
 
-/// A larger lens model that predicts views better than the one that was asked for or chosen.
+/// A larger lens model that predicts views better than the requested or chosen one.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LensMisfit {
     /// The larger model.
     pub model: LensModel,
-    /// The error of the model in use and of the larger one on views they were not fitted to, in
-    /// pixels; `None` where it cannot predict them.
+    /// The error on held-out views of the model in use and of the larger one, in pixels; `None`
+    /// where a model cannot predict them.
     pub held_out_rms_px: [Option<f64>; 2],
-    /// The focal length that the larger model has, in pixels.
+    /// The focal length under the larger model, in pixels.
     pub fx: f64,
-    /// How many times as uncertain the lens in use is when its difference from the larger one
-    /// counts as an error.
+    /// The factor on the standard deviations of the lens in use if its difference from the larger
+    /// one counts as an error.
     pub widening: f64,
 }
 
 impl LensMisfit {
-    /// Compares the lens model of `estimate`, which was asked for or chosen, with the larger ones
-    /// that an automatic choice compares; `None` where none of them predicts views better
+    /// Compares the lens model of `estimate`, requested or chosen, with the larger ones that an
+    /// automatic choice compares; `None` where none of them predicts views better
     /// ([`crate::estimation::lens_choice`]).
     pub(crate) fn of(
         problem: &CameraProblem,
@@ -53,27 +53,28 @@ impl LensMisfit {
         let is_larger = |model: &LensModel| model.facts().auto_order > Some(order);
         let mut models = LensModel::compared().filter(is_larger);
         let stated_board = (fit, prepared.observations.as_slice());
-        // A coefficient that is given is one of the model asked for.
+        // A given coefficient is one of the requested model, not of a larger one.
         let of_larger = options.clone().without_given_coefficients(stated);
         if !models.any(|model| could_fit_better(model, stated_board, (problem, &of_larger))) {
             return None;
         }
-        // At their minima: of fits that ended at 0.03 standard deviations no larger model was worth
-        // more on nearly equal views, where brown's focal length was off by four of its own.
+        // Both at their minima: with fits that ended at 0.03 standard deviations no larger model
+        // was preferred on nearly equal views, where brown's focal length was off by four of its
+        // own.
         let own = fit_camera(&mut prepared, stated, options).ok()?;
         let fitted = |model| fit_camera(&mut prepared, model, &of_larger).ok();
         let mut larger: Vec<CameraFit> =
             LensModel::compared().filter(is_larger).filter_map(fitted).collect();
         larger.retain(|fit| !has_pole(fit.lens(), problem.image_size));
-        // As an automatic choice does, with the outliers of the model that fits most closely.
+        // As in an automatic choice, the outliers are those of the model that fits most closely.
         let closest = larger.get(closest_of(&larger))?;
         let observations = &closest.observations;
         let mut views = compared_views(closest);
-        // A model that does not fit may have lost views to it.
+        // A model that does not fit may have rejected views for that reason.
         views.retain(|view| own.faults[*view].is_none());
         let grid = PixelGrid::over(problem.image_size, COLUMNS);
         let trial = |fit| Trial::of(fit, observations, &views, grid);
-        // A model may be so far off that it predicts some view not at all.
+        // A model may be so wrong that it cannot predict some view at all.
         let of_own = trial(&own);
         let held_out_px = |trial: &Trial<'_>| trial.rms_px(observations);
         let may_be =
@@ -96,8 +97,8 @@ impl LensMisfit {
 }
 
 /// The held-out errors of a lens and of a larger one, in pixels, each with the board's shape and
-/// the motion that it finds: without them a larger lens may be better only because it takes them
-/// up. `None` where it is not worth more then.
+/// the motion that it finds: otherwise a larger lens may be better only because it absorbs them.
+/// `None` where the larger one is then no better.
 fn beyond_effects(
     own: &CameraFit,
     larger: &CameraFit,
@@ -123,9 +124,9 @@ fn common_corners(a: &CameraFit, b: &CameraFit) -> [Vec<BoardObservation>; 2] {
     [of_a, of_b]
 }
 
-/// How many times as large the standard deviations of `estimate` are when its projections' mean
-/// squared difference from `other`, in units of their variance, counts as one more variance. 1 for
-/// a lens that is given whole.
+/// The factor on the standard deviations of `estimate` if the mean squared difference of its
+/// projections from those of `other`, in units of their variance, counts as one more variance. 1
+/// for a lens of which all parameters are given.
 fn widening(estimate: &CameraEstimate, other: &Lens, grid: PixelGrid) -> Option<f64> {
     let known = projection_uncertainty(
         &estimate.lens,

@@ -3,21 +3,21 @@
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 
-/// A denominator below this is near 0: it is 1 on the axis, and a lens changes it by a part of
-/// that.
+/// A denominator below this is close to 0. It is 1 on the axis, and real lenses change it by a part
+/// of that.
 const LEAST_DENOMINATOR: f64 = 0.1;
 
-/// Squared radii at which the denominator is sampled.
+/// Number of squared radii at which the denominator is sampled.
 const POLE_STEPS: i32 = 400;
 
-/// How far below 0 squared radii are asked about, as a part of the farthest one, or of 1 (45° off
-/// the axis) where that is less. No pixel has those, but a zero there makes a cusp of the center.
-/// Equidistant, stereographic, equisolid and orthographic lenses are singular at -1 alone.
+/// How far below 0 squared radii are tested, as a part of the largest one, or of 1 (45° off the
+/// axis) where that is less. No pixel has such a radius, but a zero there makes a cusp at the
+/// center. Equidistant, stereographic, equisolid and orthographic lenses are singular at -1 alone.
 const BELOW_CENTER: f64 = 0.1;
 
-/// Whether the denominator of a rational lens comes near 0 somewhere in the image. Views that do
-/// not determine all of its parameters are fitted best by a numerator and a denominator of huge
-/// coefficients that cancel but for a kink on a circle, which no lens has.
+/// Whether the denominator of a rational lens comes close to 0 somewhere in the image. Where views
+/// do not determine all of its parameters, the best fit may have a numerator and a denominator of
+/// huge coefficients that cancel except for a kink on a circle, which no real lens has.
 pub(crate) fn has_pole(lens: &Lens, size: ImageSize) -> bool {
     let Some([_, _, _, _, _, k4, k5, k6]) = lens.distortion.as_rational() else { return false };
     let matrix = lens.matrix;
@@ -49,7 +49,7 @@ mod tests {
             &rational([-441.3, 48612.0, 0.0, 0.0, 21670.0, -441.1, 48499.0, 34931.0]),
             size
         ));
-        // A cusp of the center, 50 pixels wide.
+        // A cusp at the center, 50 pixels wide.
         assert!(has_pole(&rational([195.0, 8.0, 0.0, 0.0, 0.0, 194.6, 7.9, 0.1]), size));
         assert!(!has_pole(&rational([0.34, 0.016, 0.0, 0.0, 0.0004, 0.65, 0.1, 0.002]), size));
         assert!(!has_pole(&rational([12.0, 5.0, 0.0, 0.0, 0.3, 12.3, 8.0, 1.2]), size));

@@ -1,7 +1,7 @@
 //! Whether a larger lens model could fit better at all: a score test (C. R. Rao, *Large sample
-//! tests of statistical hypotheses concerning several parameters*, 1948). One step of everything,
-//! from the nearest lens of the larger model, costs as much as one of the hundred linearizations
-//! that its fit and its comparison on held-out views take.
+//! tests of statistical hypotheses concerning several parameters*, 1948). It makes one step of all
+//! parameters from the nearest lens of the larger model, which costs one of the hundred
+//! linearizations that its fit and its comparison on held-out views take.
 
 use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::effects::lens_score::costs_beside_effects;
@@ -13,17 +13,17 @@ use crate::estimation::problem::{CameraOptions, CameraProblem};
 use crate::estimation::robust::Loss;
 use crate::geometry::lens::LensModel;
 
-/// A gain beyond its expectation by this many standard deviations of chance says that a larger
-/// model is to be asked: of 136 simulated lenses of the model asked for gains went up to 17, of
-/// real lenses that are too simple from 76 on.
+/// A larger model is fitted where the gain exceeds its expectation by this many standard deviations
+/// of chance. For 136 simulated lenses of the requested model gains went up to 17; for real lenses
+/// that the model does not fit they start at 76.
 const BEYOND_CHANCE: f64 = 8.0;
 
-/// Of fewer views a step says too little: halves of 13 photographs whose lens is too simple showed
-/// no gain beyond chance where fits of larger models predicted views better.
+/// With fewer views the test has too little power: halves of 13 photographs whose lens is too
+/// simple showed no gain beyond chance where fits of larger models predicted views better.
 const MIN_VIEWS: usize = 8;
 
-/// Whether a lens of `model` could explain what `fit`, of a smaller model, leaves. Where a step
-/// does not say, it could. `stated` are the observations with the board as it was stated.
+/// Whether a lens of `model` could explain residuals of `fit`, which has a smaller model. True also
+/// where the test cannot decide. `stated` are the observations with the board as it was stated.
 pub(crate) fn could_fit_better(
     model: LensModel,
     (fit, stated): (&CameraFit, &[BoardObservation]),
@@ -50,7 +50,7 @@ pub(crate) fn could_fit_better(
         })
     };
     let Some([own, larger]) = costs else { return true };
-    // Twice the logarithm of the likelihood ratio, the noise's variance being estimated.
+    // Twice the log-likelihood ratio, with the variance of the noise estimated.
     let residuals: usize =
         fit.observations.iter().flat_map(|o| &o.used).filter(|used| **used).count() * 2;
     let gain = residuals as f64 * (own / larger.max(f64::MIN_POSITIVE)).ln();

@@ -1,12 +1,11 @@
-//! The errors of a lens model on views that it was not fitted to, and what they say beside those of
-//! another one.
+//! The errors of a lens model on held-out views, and their comparison with those of another model.
 //!
-//! A larger model is better if its held-out error is smaller and if it moves projections somewhere
-//! in the image by more than its own uncertainty there. The second condition is needed because a
-//! smaller error on a few views is chance one time in six, and because held-out views say nothing
-//! of image corners that no view reached, where badly determined parameters do most harm. Of models
-//! of which neither holds the other, projections differ beyond the views in any case: the larger
-//! must be better beyond chance.
+//! A larger model is better if its held-out error is smaller, and if it moves projections somewhere
+//! in the image by more than its own uncertainty there. The second condition is needed for two
+//! reasons: a smaller error on a few views is chance one time in six, and held-out views show
+//! nothing of image corners that no view reached, where poorly determined parameters do most harm.
+//! The projections of models of which neither contains the other differ beyond the views in any
+//! case; there the larger model must be better beyond chance.
 
 use nalgebra::DMatrix;
 
@@ -20,7 +19,7 @@ use crate::estimation::uncertainty::{
 };
 use crate::geometry::lens::Lens;
 
-/// The views are dealt into at most this many parts, each held out once.
+/// The largest number of folds.
 const FOLDS: usize = 10;
 
 /// How much smaller the error on held-out views must be, in standard errors
@@ -31,13 +30,13 @@ const HELD_OUT: f64 = 1.0;
 /// deviations there.
 const MOVED: f64 = 2.5;
 
-/// Projections that move this far decide even where views are too few for [`HELD_OUT`] to say more
-/// than which is better.
+/// Projections that move this far are decisive even where the views are too few for [`HELD_OUT`],
+/// as long as the larger model is better at all.
 const MOVED_FAR: f64 = 4.0;
 
-/// As [`HELD_OUT`], of two models of which neither holds the other: their projections always differ
-/// beyond the views, so that only held-out views decide. Chosen for one chance in forty and not
-/// swept: with it 271 of 288 simulated worlds that were run once were given the true model.
+/// As [`HELD_OUT`], for two models of which neither contains the other: their projections always
+/// differ beyond the views, so that only held-out views decide. Chosen for one chance in forty and
+/// not swept: with it 271 of 288 simulated worlds that were run once were given the true model.
 const BETTER_BEYOND_CHANCE: f64 = 2.0;
 
 /// A model's fit with its errors on held-out views.
@@ -46,13 +45,13 @@ pub(crate) struct Trial<'a> {
     views: Vec<usize>,
     /// The sum of squared pixel errors of each of `views`.
     squares: Vec<f64>,
-    /// Of the lens parameters; `None` where they are not determined.
+    /// The covariance of the lens parameters; `None` where they are not determined.
     covariance: Option<DMatrix<f64>>,
     pub(crate) grid: PixelGrid,
 }
 
 impl<'a> Trial<'a> {
-    /// Of the corners that `chosen` uses in `views`.
+    /// On the corners in `views` that `chosen` uses.
     pub(crate) fn of(
         fit: &'a CameraFit,
         chosen: &[BoardObservation],
@@ -70,18 +69,18 @@ impl<'a> Trial<'a> {
         (self.squares.iter().sum::<f64>() / corners.max(1) as f64).sqrt()
     }
 
-    /// Whether it is to be preferred to `smaller`, which is preferred where they do not differ.
+    /// Whether it is preferable to `smaller`, which is preferred where the two do not differ.
     pub(crate) fn is_worth_more(&self, smaller: &Self) -> bool {
         let nested = self.fit.lens().model().holds(smaller.fit.lens().model());
         self.predicts_better_than(smaller)
             && (nested || self.gain_over(smaller) > BETTER_BEYOND_CHANCE)
     }
 
-    /// How likely it is, at least and at most, that it is to be preferred to `smaller`: that
-    /// held-out views, and how far it moves projections, would say so with other views of the same
-    /// kind, which change either by one standard deviation. Of two models of which neither holds
-    /// the other, held-out views alone: at least that it would be chosen, at most that it is nearer
-    /// to the lens.
+    /// Bounds on the probability that it is preferable to `smaller`: that the held-out views and
+    /// the change of projections would show so with other views of the same kind, which change
+    /// either by one standard deviation. For two models of which neither contains the other, only
+    /// held-out views count: the lower bound is the probability that it would be chosen, the upper
+    /// one that it is closer to the true lens.
     pub(crate) fn probabilities_beside(&self, smaller: &Self) -> [f64; 2] {
         let gain = self.gain_over(smaller);
         if !self.fit.lens().model().holds(smaller.fit.lens().model()) {
@@ -93,7 +92,7 @@ impl<'a> Trial<'a> {
         [clearly * far + (better - clearly) * farther; 2]
     }
 
-    /// Whether it is likely to be nearer to the lens than `smaller` is.
+    /// Whether it is likely to be closer to the true lens than `smaller`.
     pub(crate) fn predicts_better_than(&self, smaller: &Self) -> bool {
         let gain = self.gain_over(smaller);
         let moved = || self.moves_projections_of(smaller.fit.lens()).unwrap_or(0.0);
@@ -104,7 +103,7 @@ impl<'a> Trial<'a> {
         gain_in_standard_errors(&self.squares_beside(smaller))
     }
 
-    /// The squares of a smaller model and of this one in each view that both were fitted to.
+    /// The squared errors of a smaller model and of this one in each view that both were fitted to.
     fn squares_beside(&self, smaller: &Self) -> Vec<[f64; 2]> {
         let of_smaller = |view: &usize| {
             let at = smaller.views.iter().position(|other| other == view)?;
@@ -119,8 +118,8 @@ impl<'a> Trial<'a> {
     }
 }
 
-/// Whether a fit moves the projections of a smaller model's lens far enough to be worth more, if
-/// held-out views agree: without, they need not be asked.
+/// Whether a fit moves the projections of a smaller model's lens far enough to be preferable, if
+/// held-out views agree. If not, these need not be computed.
 pub(crate) fn may_be_worth_more(fit: &CameraFit, smaller: &Lens, grid: PixelGrid) -> bool {
     let moved = fit
         .lens_covariance()
@@ -128,7 +127,7 @@ pub(crate) fn may_be_worth_more(fit: &CameraFit, smaller: &Lens, grid: PixelGrid
     moved.is_some_and(|moved| moved > MOVED)
 }
 
-/// How far the projections of a lens are from those of `other` at most, in its own standard
+/// The largest distance of the projections of a lens from those of `other`, in its own standard
 /// deviations at that pixel.
 fn moves_projections(
     lens: &Lens,
@@ -139,17 +138,17 @@ fn moves_projections(
     let own = projection_uncertainty(lens, covariance, grid, Distance::Infinity)?;
     let moved = projection_difference(lens, other, grid, &own.weights);
     let seen = moved.iter().zip(&own.square_px2).filter_map(|(moved, own)| Some((*moved, (*own)?)));
-    // Where the other lens sees nothing, it differs by more than any number.
+    // Where the other lens has no projection, the difference is unlimited.
     let in_stds = |(moved, own): (Option<[f64; 2]>, f64)| {
         moved.map_or(f64::INFINITY, |[x, y]| f64::sqrt((x * x + y * y) / own))
     };
     Some(seen.map(in_stds).fold(0.0, f64::max))
 }
 
-/// The mean per view of the logarithm of how many times smaller the errors of `larger_model` are
-/// than those of `smaller_model`, in standard errors of that mean: each view is weighed by its own
-/// noise, so that those with large errors do not decide alone. A single view has no variance: the
-/// answer is [`HELD_OUT`] with the sign of its gain.
+/// The mean over the views of the logarithm of the squared error of the smaller model over that of
+/// the larger one, in standard errors of that mean. The logarithm makes it relative to each view's
+/// noise, so that views with large errors do not decide alone. A single view has no variance: the
+/// result is [`HELD_OUT`] with the sign of its gain.
 fn gain_in_standard_errors(squares: &[[f64; 2]]) -> f64 {
     let logarithm = |square: f64| square.max(f64::MIN_POSITIVE).ln();
     let gains: Vec<f64> =
@@ -157,20 +156,20 @@ fn gain_in_standard_errors(squares: &[[f64; 2]]) -> f64 {
     in_standard_errors(&gains)
 }
 
-/// The mean of what views gain, in standard errors of that mean; of one view as of
+/// The mean of the views' gains, in standard errors of that mean; for one view as in
 /// [`gain_in_standard_errors`].
 pub(crate) fn in_standard_errors(gains: &[f64]) -> f64 {
     let n = gains.len() as f64;
     let mean = gains.iter().sum::<f64>() / n;
     if gains.len() < 2 {
-        // One view says which is better, and nothing of chance.
+        // One view shows which is better, but not whether that is chance.
         return mean.signum() * HELD_OUT;
     }
     let variance = gains.iter().map(|gain| (gain - mean).powi(2)).sum::<f64>() / (n - 1.0);
     mean / (variance / n).sqrt().max(f64::MIN_POSITIVE)
 }
 
-/// Per view, the sum of squared pixel errors under a lens fitted without it. `None` where a part
+/// Per view, the sum of squared pixel errors under a lens fitted without it. `None` where a fold
 /// cannot be fitted.
 pub(crate) fn held_out_squares(
     fit: &CameraFit,

@@ -1,16 +1,16 @@
-//! A board and a shutter as a solve measured them, in meters.
+//! The board's shape and the rolling shutter as a solve measured them, in meters.
 
 use nalgebra::{DMatrix, Point3, Vector3};
 
 use crate::geometry::pose::Pose;
 
-/// A board's shape as a solve measured it, relative to the one that was stated. A rigid motion is
-/// no shape, and the mean scale is the stated one.
+/// A board's shape as a solve measured it, relative to the stated one. It contains no rigid motion,
+/// and its mean scale is the stated one.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MeasuredBoard {
     /// The stated points, in the board frame, in meters.
     pub points: Vec<Point3<f64>>,
-    /// How far each is from where it was stated, in meters.
+    /// The offset of each from its stated position, in meters.
     pub offsets_m: Vec<Vector3<f64>>,
     /// Standard deviation of each offset per axis, in meters.
     pub std_m: Vec<Vector3<f64>>,
@@ -18,33 +18,33 @@ pub struct MeasuredBoard {
     pub unevenness_m: f64,
     /// Its standard deviation, in meters.
     pub unevenness_std_m: f64,
-    /// How far the board is bowed at its middle along x and y, in meters: the parabolas that fit
-    /// its heights best.
+    /// The bow of the board along x and y, in meters at its middle: the parabolas that fit its
+    /// heights best.
     pub bow_m: [f64; 2],
 }
 
-/// Motion while the rows of an image were read, over the views.
+/// Motion during the read-out of images, over the views.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RollingShutter {
     /// Root mean square translation of the board from the first row to the last, in meters.
     pub translation_m: f64,
     /// Root mean square rotation likewise, in radians.
     pub rotation_rad: f64,
-    /// 1 where views agree that it is there; else the part of it, 0 to 1, that is beyond chance, as
-    /// which it counts.
+    /// 1 where views agree on the motion; otherwise the part of it, 0 to 1, that is beyond chance,
+    /// which is its weight.
     pub agreement: f64,
 }
 
-/// Deviations below this, in meters, are rounding.
+/// Standard deviations below this, in meters, are rounding.
 const LEAST_STD_M: f64 = 1e-12;
 
-/// A corner nearer than this part of the board's extent to a measured one is it.
+/// A corner closer to a measured one than this part of the board's extent is the same corner.
 const SAME_CORNER: f64 = 1e-3;
 
 impl MeasuredBoard {
-    /// One board that several cameras measured by themselves: each corner's offset is their mean,
-    /// weighted by 1 over the variance per axis. Of those that saw fewer corners than others
-    /// nothing is taken, as their shapes are relative to another mean. `None` of none.
+    /// The mean of one board that several cameras measured: each corner's offset is weighted by 1
+    /// over its variance per axis. Measurements with fewer corners than others are left out, as
+    /// their shapes are relative to another mean. `None` of none.
     pub fn mean_of(measured: &[Self]) -> Option<Self> {
         let most = measured.iter().map(|board| board.points.len()).max()?;
         let whole: Vec<&Self> =
@@ -79,7 +79,7 @@ impl MeasuredBoard {
         })
     }
 
-    /// The same board in a frame where its points are at `b_from_a` of where they were.
+    /// The same board in frame b.
     #[must_use]
     pub fn transformed(&self, b_from_a: &Pose) -> Self {
         let rotation = b_from_a.rotation_matrix();
@@ -94,7 +94,7 @@ impl MeasuredBoard {
         Self { points, offsets_m, std_m, bow_m, ..self.clone() }
     }
 
-    /// By how much the board is longer along its x than along its y, as a part of its length.
+    /// By how much the board is longer along its x than along its y, relative to its length.
     pub fn aspect(&self) -> f64 {
         let mean = self.points.iter().map(|p| p.coords).sum::<Vector3<f64>>()
             / self.points.len().max(1) as f64;
@@ -110,13 +110,13 @@ impl MeasuredBoard {
         along_x - along_y
     }
 
-    /// How far the corner stated at `point` (in the board frame) was measured to be from there, in
-    /// meters; `None` where none was measured.
+    /// The measured offset of the corner stated at `point` (in the board frame), in meters; `None`
+    /// where none was measured.
     pub fn offset_at(&self, point: &Point3<f64>) -> Option<Vector3<f64>> {
         self.nearest(point).map(|k| self.offsets_m[k])
     }
 
-    /// Which of the measured corners is the one stated at `point`.
+    /// The index of the measured corner stated at `point`.
     fn nearest(&self, point: &Point3<f64>) -> Option<usize> {
         let distance = |k: &usize| (self.points[*k] - point).norm();
         let first = self.points.first()?;
@@ -126,8 +126,8 @@ impl MeasuredBoard {
     }
 }
 
-/// How far heights over a board are bowed at its middle along x and y: the parabolas 1 − (x / half
-/// extent)² and 1 − (y / half extent)² about the middle of its `points` that fit them best beside a
+/// The bow of heights over a board along x and y: the coefficients of the parabolas 1 − (x / half
+/// extent)² and 1 − (y / half extent)² about the middle of its `points`, fitted together with a
 /// plane.
 pub(crate) fn bow_m(points: &[Point3<f64>], offsets_m: &[Vector3<f64>]) -> [f64; 2] {
     let spans = [0, 1].map(|axis| {

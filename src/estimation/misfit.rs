@@ -1,18 +1,18 @@
 //! Why a model does not fit: which effect, added to the model, would explain the residuals. Each
-//! candidate is tried by one Gauss–Newton step from the minimum (a score test, C. R. Rao, 1948).
-//! There are two: a board whose points are off its plane, alike in every view; and a board or
-//! camera that moves while the rows of the image are read one after another.
+//! candidate is tested by one Gauss–Newton step from the minimum (a score test, C. R. Rao, 1948).
+//! There are two: a board whose points are off its plane, the same in every view; and motion of the
+//! board or the camera during the read-out of an image.
 //!
 //! The board is tested twice. A bow has two unknowns, z = a (1 − x²) + b (1 − y²) over the half
-//! extents: it is named with its directions, and cheap enough to be tested of every set. Any shape
-//! has the seven terms of second and third order, and its height from the lowest to the highest
-//! point is named: it is tested of sets that something else shows to be wrong. Where both are found
-//! the verdict names the second, which contains the first.
+//! extents. It is reported with its directions, and is cheap enough to test for every set of views.
+//! A general shape has the seven terms of second and third order, and its height from the lowest to
+//! the highest point is reported. It is tested for sets that something else shows to be wrong.
+//! Where both are found the verdict names the second, which contains the first.
 //!
-//! Motion has twelve unknowns a view, which always explain something. So it must explain far more
-//! than a board of any shape does, or clearly more than the same motion with columns read in place
-//! of rows. Those two differ by perspective only, since a shear along rows is a shear along columns
-//! and a rotation.
+//! Motion has twelve unknowns per view, which always explain a part of the residuals. So it must
+//! explain far more than a board of any shape does, or clearly more than the same motion with
+//! columns read in place of rows. Those two differ by perspective only, since a shear along rows is
+//! a shear along columns and a rotation.
 
 use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix3xX, Point3, Vector3};
 
@@ -25,40 +25,39 @@ use crate::estimation::scaled_factor::ScaledFactor;
 use crate::estimation::view_motion::read_out_time;
 use crate::geometry::pixel::Pixel;
 
-/// What seems to be wrong.
+/// The effects that would explain the residuals.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Misfit {
-    /// The part of the residuals' squares that motion while rows were read explains, where it
-    /// explains a good part.
+    /// The part of the sum of squared residuals that motion during the read-out explains, where
+    /// that is large enough.
     pub rolling_shutter: Option<f64>,
-    /// How far the board's points seem to be off a plane, from the lowest to the highest, in
-    /// meters, where that explains a good part of the residuals. (A board that is measured has the
-    /// root mean square instead,
-    /// [`crate::estimation::measured_board::MeasuredBoard::unevenness_m`].)
+    /// The height of the board's points off a plane, from the lowest to the highest, in meters,
+    /// where that explains enough of the residuals. (A measured board has the root mean square
+    /// instead, [`crate::estimation::measured_board::MeasuredBoard::unevenness_m`].)
     pub peak_to_valley_m: Option<f64>,
 }
 
-/// The least part of the residuals' squares that the board's shape must explain to be named: less
-/// would lower their root mean square by less than 2.5 %.
+/// The least part of the sum of squared residuals that the board's shape must explain to be
+/// reported: less would lower the rms by less than 2.5 %.
 const SHAPE_LEAST_PART: f64 = 0.05;
 /// The least of that in units of the noise's variance. Chance explains a χ² with as many degrees of
-/// freedom as the shape has unknowns; with seven it is above this once in a million times.
+/// freedom as the shape has unknowns; with seven it exceeds this once in a million times.
 const SHAPE_LEAST_CHI2: f64 = 40.0;
 
 // What motion must explain. Chosen when photographs of a rolling shutter (photon-lifecam, where it
 // explains 83 % of the squares) and of uneven boards (opencv-samples) were the only real ones, and
 // not swept.
-/// Motion must leave less than this part of the variance that a board of any shape leaves, …
+/// Motion must leave less than this part of the variance that remains with a board of any shape, …
 const MOTION_LEFT: f64 = 0.8;
 /// … and either less than this part, …
 const MOTION_ALONE: f64 = 0.4;
-/// … or less than this part of what it leaves with columns in place of rows.
+/// … or less than this part of what remains with columns in place of rows.
 const MOTION_AGAINST_COLUMNS: f64 = 0.8;
 
 /// Unknowns of the board's shape: z by x², xy, y², x³, x²y, xy², y³ over its half extents.
 const SHAPE: usize = 7;
 
-/// Which way time runs over the image.
+/// The direction in which an image was read out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Read {
     AtOnce,
@@ -67,8 +66,8 @@ enum Read {
 }
 
 impl Misfit {
-    /// Tests each cause on `views` of a fitted camera, but for those that the solve itself has
-    /// estimated or refuted, as `options` ask.
+    /// Tests each effect on `views` of a fitted camera, except those that the solve itself has
+    /// estimated or refuted, according to `options`.
     pub(crate) fn of(
         fit: &CameraFit,
         views: &[usize],
@@ -107,13 +106,13 @@ impl Misfit {
     }
 }
 
-/// Whether a shape that lowers the sum of squares from `cost` by `decrease` is to be named.
+/// Whether a shape that lowers the sum of squares from `cost` by `decrease` is significant.
 fn is_shape(decrease: f64, cost: f64, fit: &CameraFit) -> bool {
     decrease > SHAPE_LEAST_PART * cost && decrease > SHAPE_LEAST_CHI2 * fit.noise_square()
 }
 
-/// The bow of a board that was taken as flat, along x and along y in meters, as
-/// [`crate::estimation::joint::State::warp`] has it, where it explains enough.
+/// The bow along x and along y, in meters, of a board that was assumed flat, as in
+/// [`crate::estimation::joint::State::warp`]; `None` where it is not significant.
 pub(crate) fn board_bow_m(fit: &CameraFit, views: &[usize]) -> Option<[f64; 2]> {
     let points = || views.iter().flat_map(|view| &fit.observations[*view].points);
     let [only] = fit.layout.sensors.as_slice() else { return None };
@@ -132,7 +131,7 @@ pub(crate) fn board_bow_m(fit: &CameraFit, views: &[usize]) -> Option<[f64; 2]> 
         .then(|| [step.global[last], step.global[last + 1]])
 }
 
-/// What is added to the model.
+/// The effect that is added to the model.
 #[derive(Debug, Clone, Copy)]
 struct Extra {
     /// The image's width and height in pixels.
@@ -143,7 +142,8 @@ struct Extra {
 }
 
 impl Extra {
-    /// When a pixel was read, in read-outs of an image from its middle; `None` where all are read at once.
+    /// When a pixel was read, relative to the middle of the read-out and in units of its duration;
+    /// `None` where all are read at once.
     fn time(&self, pixel: Pixel) -> Option<f64> {
         match self.read {
             Read::AtOnce => None,
@@ -157,12 +157,12 @@ impl Extra {
     }
 }
 
-/// The outcome of one step.
+/// The result of one step.
 struct Score {
-    /// The sum of squares before it, and by how much the step lowers it.
+    /// The sum of squares before the step, and its decrease by the step.
     cost: f64,
     decrease: f64,
-    /// How many residuals more than unknowns.
+    /// Number of residuals minus number of unknowns.
     freedom: f64,
     /// The step of the board's shape, in meters.
     shape: Vec<f64>,
@@ -200,7 +200,7 @@ impl Score {
         (self.cost - self.decrease).max(0.0) / self.freedom
     }
 
-    /// From the lowest to the highest of the board's points, off the plane that fits them best.
+    /// From the lowest to the highest of the board's points, relative to their best plane.
     fn peak_to_valley_m(&self, fit: &CameraFit, views: &[usize]) -> f64 {
         let half = board_half_extent(fit);
         let points: Vec<&Point3<f64>> =
@@ -222,7 +222,7 @@ fn half_extent<'a>(points: &(impl Iterator<Item = &'a Point3<f64>> + Clone)) -> 
     [0, 1].map(|axis| points.clone().map(|p| p[axis].abs()).fold(f64::MIN_POSITIVE, f64::max))
 }
 
-/// That of all points of the fit.
+/// The same for all points of the fit.
 fn board_half_extent(fit: &CameraFit) -> [f64; 2] {
     half_extent(&fit.observations.iter().flat_map(|observation| &observation.points))
 }

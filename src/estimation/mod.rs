@@ -1,4 +1,4 @@
-//! Numbers in, an estimate with its uncertainty out. Pure; uses geometry.
+//! Estimation: numbers in, an estimate with its uncertainty out. Pure; uses geometry.
 //!
 //! | question | where |
 //! | --- | --- |
@@ -6,19 +6,19 @@
 //! | one camera, lens and poses, from views of a board | [`camera`] |
 //! | several sensors fixed to each other | [`rig`], [`consistent_labels`] |
 //! | a camera from one view of points in space | [`dlt`] |
-//! | where a board is, the lens known | [`board_pose`] |
-//! | a start without any guess | [`zhang`] (closed form), `start` |
+//! | the pose of a board, the lens known | [`board_pose`] |
+//! | a start without an initial guess | [`zhang`] (closed form), `start` |
 //! | the least-squares problem itself | `joint` |
 //! | matrices over parameters of different orders of magnitude | `scaled_factor` |
-//! | which corners and views to believe | `robust`, `robust_fit`, [`view_fault`] |
+//! | which corners and views are inliers | `robust`, `robust_fit`, [`view_fault`] |
 //! | whether the model is right at all, and if not, why | [`model_check`], [`split_halves`], `misfit` |
-//! | whether the corners of a view err together | `clustered_covariance`, `jackknife` |
+//! | whether the errors of a view's corners are correlated | `clustered_covariance`, `jackknife` |
 //! | color and depth as one camera | [`rgbd`], [`depth_error`] |
 //! | how far to trust a projection | [`uncertainty`] |
 //! | which lens model | [`lens_choice`], `lens_trial`, `model_averaging` |
 //! | whether another lens of the model fits as closely | [`other_minimum`] |
-//! | why there is no answer | [`error`] |
-//! | how an estimate that nobody waits for ends early | [`interrupt`] |
+//! | why there is no estimate | [`error`] |
+//! | how an estimate is ended early | [`interrupt`] |
 
 pub mod board_pose;
 pub mod board_surface;

@@ -1,8 +1,9 @@
-//! What the choice between lens models adds to the covariance of the lens that was chosen: how
-//! other models' lenses differ from it, each as likely as it is to be the nearer one (the variance
-//! between models of J. A. Hoeting, D. Madigan, A. E. Raftery, C. T. Volinsky, *Bayesian model
-//! averaging: a tutorial*, 1999, equation 3, about the lens that is reported). Without it a choice
-//! that single views decide would jump by more than the deviations that are stated.
+//! The variance between lens models, which adds to the covariance of the chosen lens: the squared
+//! differences from the other models' lenses, each weighted by its probability of being closer to
+//! the true lens (J. A. Hoeting, D. Madigan, A. E. Raftery, C. T. Volinsky, *Bayesian model
+//! averaging: a tutorial*, 1999, equation 3, about the lens that is reported). Without it, a choice
+//! that depends on single views would change the result by more than its stated standard
+//! deviations.
 
 use nalgebra::{DMatrix, DVector, Point3};
 
@@ -13,30 +14,31 @@ use crate::estimation::nearest_lens::{WeightedPoint, nearest_from};
 use crate::estimation::uncertainty::{Distance, PixelGrid, projection_uncertainty};
 use crate::geometry::lens::Lens;
 
-/// Upper bound of another model's odds: a likelier one was not chosen because it is uncertain
-/// outside the views.
+/// Upper bound of another model's odds: a model with higher odds was not chosen because it is
+/// uncertain outside the views.
 const EVEN: f64 = 1.0;
 
-/// A model of smaller odds is left out (Occam's window of D. Madigan, A. E. Raftery, *Model
-/// selection and accounting for model uncertainty in graphical models using Occam's window*, 1994):
-/// the tail of a normal distribution is not known so far out, and lenses that are out of the
-/// question are off by hundreds of deviations.
+/// A model with lower odds is left out (Occam's window of D. Madigan, A. E. Raftery, *Model
+/// selection and accounting for model uncertainty in graphical models using Occam's window*, 1994).
+/// The tail of a normal distribution is not known so far out, and lenses that are clearly wrong
+/// differ by hundreds of standard deviations.
 const LEAST_ODDS: f64 = 0.05;
 
-/// A model as it was compared with the others, and its fit as it is reported where it is chosen:
-/// models are compared on one board, and each is reported on the board that it found itself.
+/// A model as compared with the others, and its fit as reported if it is chosen: models are
+/// compared on a common board, and each is reported with the board that it found itself.
 pub(crate) struct ComparedModel<'a> {
     pub(crate) trial: Trial<'a>,
     pub(crate) reported: &'a CameraFit,
 }
 
 /// The covariance between `models` about the `chosen` one, in the order of
-/// [`Lens::parameter_names`]; models of fewer parameters come before it, those of more after it.
-/// `None` where projections of one of them are not determined.
+/// [`Lens::parameter_names`]. Models with fewer parameters come before it, those with more after
+/// it. `None` where the projections of one of them are not determined.
 pub(crate) fn between_models(models: &[ComparedModel<'_>], chosen: usize) -> Option<DMatrix<f64>> {
     let own = &models[chosen];
-    // As likely as it may be: nearer to the lens, for the error that is stated to be true; chosen
-    // with other views, for what single views change to be within it.
+    // Each with the larger of two probabilities: that of being closer to the true lens, so that the
+    // stated error is true, and that of being chosen with other views, so that changes by single
+    // views are within it.
     let odds = |(k, other): (usize, &ComparedModel<'_>)| {
         let probability = match k.cmp(&chosen) {
             std::cmp::Ordering::Less => 1.0 - own.trial.probabilities_beside(&other.trial)[0],
@@ -59,9 +61,9 @@ pub(crate) fn between_models(models: &[ComparedModel<'_>], chosen: usize) -> Opt
     Some(covariance)
 }
 
-/// How the parameters of one lens would have to change for it to see as that of another model does:
-/// focal lengths and center are those of the other, and coefficients follow. Pixels count by how
-/// well both lenses are known there.
+/// The change of the parameters of one lens that makes its projections closest to those of another
+/// model's lens. Focal lengths and principal point are those of the other, and coefficients are
+/// fitted. Pixels are weighted by how well both lenses are known there.
 fn difference(own: &CameraFit, other: &CameraFit, grid: PixelGrid) -> Option<DVector<f64>> {
     let [lens, target] = [own, other].map(CameraFit::lens);
     let variances = |fit: &CameraFit| {
@@ -98,7 +100,7 @@ fn difference(own: &CameraFit, other: &CameraFit, grid: PixelGrid) -> Option<DVe
         };
         seen.iter().map(of).sum()
     };
-    // Of coefficients that the pixels do not determine a search may end anywhere.
+    // For coefficients that the pixels do not determine, the search may end anywhere.
     let near = nearest_from(moved, target, &coefficients, &seen)
         .filter(|near| miss(near) < miss(&moved))
         .unwrap_or(moved);

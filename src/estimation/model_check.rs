@@ -8,38 +8,38 @@ use crate::estimation::misfit::{Misfit, board_bow_m};
 use crate::estimation::problem::{BoardShape, CameraOptions};
 use crate::estimation::split_halves::{LensWithCovariance, MIN_FRAME_SETS, SplitHalves};
 
-/// What two halves of the views say of each other.
+/// The result of comparing two halves of the views.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ModelCheck {
-    /// The difference of the halves' projections, after the best compensating rotation, over what
-    /// their uncertainties predict at that pixel: the root of the mean square over the image, about
-    /// 1 when the model is right. `None` with fewer than six views.
+    /// The difference of the halves' projections, after the best compensating rotation, over its
+    /// predicted standard deviation at that pixel: the root mean square over the image, about 1
+    /// when the model is right. `None` with fewer than six views.
     pub split_half_ratio: Option<f64>,
     /// Root mean square error of each half's views under the other half's lens, in pixels.
     pub held_out_rms_px: Option<f64>,
     /// By how much the focal length differs between the halves, relative to itself.
     pub focal_change: Option<f64>,
     /// Correlation of the residuals of corners that follow each other on the board: near 0 for
-    /// noise, near 1 where the model cannot follow the image, and halves agree on the same wrong
-    /// answer.
+    /// noise, near 1 where the model cannot fit the image, and both halves agree on the same wrong
+    /// result.
     pub residual_correlation: Option<f64>,
-    /// What seems to be wrong where halves or neighboring corners show that something is.
+    /// The effects that would explain the misfit, where halves or neighboring corners show one.
     pub misfit: Misfit,
-    /// How far the board's middle seems to be off the plane of its edges by curvature along x and
-    /// by curvature along y, in meters, where that explains a good part of the residuals and was
-    /// not estimated. It is tested of every set; a board of any shape is where something else shows
-    /// that the model is wrong.
+    /// The height of the board's middle above the plane of its edges by curvature along x and along
+    /// y, in meters, where that explains a good part of the residuals and was not estimated. It is
+    /// tested for every set; a board of general shape only where something else shows that the
+    /// model is wrong.
     pub board_bow_m: Option<[f64; 2]>,
-    /// Whether the lens model that was asked for is too simple.
+    /// A larger lens model that predicts views better, where the requested one is too simple.
     pub lens_misfit: Option<LensMisfit>,
 }
 
 /// A split-half ratio above which causes are tested: where the model is right, one set in a hundred
-/// has more.
+/// exceeds it.
 const SUSPICIOUS_RATIO: f64 = 2.0;
 
-/// A correlation of neighbors' residuals above which causes are tested: 3.5 standard deviations of
-/// that of [`MIN_PAIRS`] pairs of independent residuals.
+/// A correlation of neighbors' residuals above which causes are tested: 3.5 standard deviations for
+/// [`MIN_PAIRS`] pairs of independent residuals.
 const SUSPICIOUS_CORRELATION: f64 = 0.25;
 
 /// Pairs of neighbors, of two coordinates each, that determine a correlation to 0.07 (1 sigma, the
@@ -47,7 +47,7 @@ const SUSPICIOUS_CORRELATION: f64 = 0.25;
 const MIN_PAIRS: usize = 100;
 
 impl ModelCheck {
-    /// Fewer views have no halves that determine a lens each.
+    /// With fewer views, the halves do not determine a lens each.
     pub const MIN_VIEWS: usize = MIN_FRAME_SETS;
 
     pub(crate) fn of(fit: &CameraFit, estimate: &CameraEstimate, options: &CameraOptions) -> Self {
@@ -71,7 +71,7 @@ impl ModelCheck {
         } else {
             Misfit::default()
         };
-        // A bow leaves smooth residuals: where neighbors differ in sign, it is not tested.
+        // A bow leaves smooth residuals. It is not tested where neighbors have opposite signs.
         let smooth = residual_correlation.is_none_or(|correlation| correlation > 0.0);
         let estimated = options.board_shape != BoardShape::Flat;
         let board_bow_m =
@@ -79,15 +79,15 @@ impl ModelCheck {
         Self { board_bow_m, misfit, ..halves }
     }
 
-    /// Whether residuals, or halves of the views, say that something is not as modeled.
+    /// Whether residuals, or halves of the views, show a misfit of the model.
     fn is_suspicious(&self, estimate: &CameraEstimate) -> bool {
         self.split_half_ratio.is_none_or(|ratio| ratio > SUSPICIOUS_RATIO)
             || self.residual_correlation.is_some_and(|r| r > SUSPICIOUS_CORRELATION)
             || estimate.variance_inflation > 1.0
     }
 
-    /// Whether something beyond lens and poses was found or is suspected: what else is wrong with
-    /// them may be asked then.
+    /// Whether effects beyond lens and poses were found or are suspected, so that further causes
+    /// are to be tested.
     pub(crate) fn is_beyond_noise(&self, fit: &CameraFit, estimate: &CameraEstimate) -> bool {
         !fit.is_exact() && (fit.effects.is_some() || self.is_suspicious(estimate))
     }
@@ -121,7 +121,7 @@ fn residual_correlation(estimate: &CameraEstimate) -> Option<f64> {
     (pairs >= MIN_PAIRS && squares > 0.0).then_some(together / squares)
 }
 
-/// The used views, or enough of them, evenly.
+/// The used views, or an evenly spaced sample of many.
 fn some_views(fit: &CameraFit) -> Vec<usize> {
     fit.some_frame_sets().into_iter().flatten().collect()
 }

@@ -1,31 +1,30 @@
-//! The noise floor: an error that all corners share beyond their own standard deviations. A board
+//! The noise floor: an error common to all corners, beyond their own standard deviations. A board
 //! is not quite flat or square, a lens model is only nearly right, and the standard deviations are
-//! estimates themselves. Without it, the few corners that seem sharpest would get most of the
-//! weight.
+//! themselves estimates. Without a noise floor, the few corners that appear sharpest would get most
+//! of the weight.
 //!
-//! It is one more variance, common to all corners. Where residuals are equal for corners of small
-//! and of large standard deviations it is large, and the weights become nearly equal; where
-//! residuals follow the standard deviations it is 0. It maximizes the likelihood of variances k ·
-//! (std² + common²) with k free (a variance component, as in R. C. Paule and J. Mandel, *Consensus
-//! values and weighting factors*, 1982, where k is 1).
+//! It is a variance component that is added to every corner's own variance. Where corners of small
+//! and of large standard deviations have equal residuals it is large, and the weights become nearly
+//! equal; where residuals are proportional to the standard deviations it is 0. It maximizes the
+//! likelihood of variances k · (std² + common²) with k free (as in R. C. Paule and J. Mandel,
+//! *Consensus values and weighting factors*, 1982, where k is 1).
 
 use std::borrow::Cow;
 
 use crate::estimation::camera_estimate::CameraEstimate;
 use crate::estimation::problem::{BoardView, CameraProblem, Correspondence};
 
-/// Weights that differ by less than this part from better ones cost next to nothing of the
-/// estimate.
+/// Weights within this relative difference of the best ones lose next to no precision.
 const NEAR: f64 = 0.2;
 
-/// Corners sampled, at most.
+/// The largest number of corners in the sample.
 const CORNERS: usize = 1000;
 
-/// The least common variance that is tried, in units of a sharp corner's own, and the greatest, in
-/// units of a blurred one's; in between each is twice the one before.
+/// The range of common variances that are tried: the least in units of a sharp corner's own
+/// variance, the greatest in units of a blurred one's. Each is twice the one before.
 const TRIED: [f64; 2] = [0.125, 64.0];
 
-/// The problem with a common error of `noise_floor_px` added to every corner's own.
+/// The problem with `noise_floor_px` added to every corner's own standard deviation, in quadrature.
 pub(crate) fn with_noise_floor(
     problem: &CameraProblem,
     noise_floor_px: f64,
@@ -45,9 +44,9 @@ pub(crate) fn with_noise_floor(
     })
 }
 
-/// The noise floor that is likeliest under the residuals of `estimate`, in pixels; `None` where
-/// weights with it would be near those of `estimate`, or all corners have the same deviation, which
-/// leaves the weights as they are.
+/// The maximum-likelihood noise floor from the residuals of `estimate`, in pixels. `None` where the
+/// weights would be close to those of `estimate`, or all corners have the same standard deviation,
+/// so that no noise floor changes their weights.
 pub(crate) fn noise_floor_px_of(problem: &CameraProblem, estimate: &CameraEstimate) -> Option<f64> {
     let views = problem.views.iter().zip(&estimate.views).filter(|(_, view)| view.fault.is_none());
     let corners = views.flat_map(|(given, view)| {
@@ -71,7 +70,7 @@ pub(crate) fn noise_floor_px_of(problem: &CameraProblem, estimate: &CameraEstima
     let tried = std::iter::once(0.0).chain(std::iter::successors(Some(least), doubled));
     let likelihoods = tried.map(|common| (negative_log_likelihood(&seen, common), common));
     let best = likelihoods.min_by(|a, b| a.0.total_cmp(&b.0))?.1;
-    // How much more a sharp corner has to say than a blurred one.
+    // The ratio of a sharp corner's weight to a blurred one's, as a logarithm.
     let contrast = |common: f64| ((blurred + common) / (sharp + common)).ln();
     ((contrast(best) - contrast(estimate.noise_floor_px.powi(2))).abs() > NEAR)
         .then_some(best.sqrt())
@@ -80,7 +79,7 @@ pub(crate) fn noise_floor_px_of(problem: &CameraProblem, estimate: &CameraEstima
 /// A used corner.
 #[derive(Debug, Clone, Copy)]
 struct Seen {
-    /// Its own variance per axis, as it was given.
+    /// Its given variance per axis.
     variance: f64,
     /// The mean square of its two residuals.
     square: f64,
@@ -92,7 +91,7 @@ impl Seen {
     }
 }
 
-/// −ln of the likelihood, up to a constant, at the likeliest k.
+/// −ln of the likelihood, up to a constant, at the maximum-likelihood k.
 fn negative_log_likelihood(seen: &[Seen], common: f64) -> f64 {
     let (mut level, mut log_determinant) = (0.0, 0.0);
     for Seen { variance, square } in seen {

@@ -1,4 +1,4 @@
-//! The lens of one model that is nearest to a lens of another, where points are seen.
+//! The lens of one model that is closest to a lens of another, over given points.
 
 use nalgebra::{DMatrix, Point3, SMatrix, SVector, Vector2};
 
@@ -8,24 +8,24 @@ use crate::geometry::lens::{Distortion, Lens, LensModel, MAX_PARAMETERS};
 /// Gauss–Newton steps: the models are close to linear in their coefficients.
 const STEPS: usize = 5;
 
-/// What a model leaves that holds the lens.
+/// The scaled gradient, in pixels, below which the fit is exact: the model contains the lens.
 const NO_MISS_PX: f64 = 1e-9;
 
-/// Parameters that the points leave open stay where they are.
+/// Keeps parameters that the points do not determine where they are.
 const DAMPING: f64 = 1e-12;
 
-/// A point that a lens sees, and how much it counts.
+/// A point in view of a lens, and its weight.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct WeightedPoint {
-    /// In the camera's frame; its length does not matter.
+    /// In the camera's frame; its distance does not matter.
     pub(crate) in_camera: Point3<f64>,
     /// The inverse of the variance of its pixel, up to a common factor.
     pub(crate) weight: f64,
 }
 
-/// The lens with the parameters that `free` leaves, the others being `given`, that sees
-/// `points_in_camera` as nearly as possible as `lens` does, by least squares of pixels. `None`
-/// where it does not see them all.
+/// The lens with the free parameters of `free`, the others being `given`, whose projections of
+/// `points_in_camera` are closest to those of `lens`, by least squares of pixels. `None` where it
+/// cannot project them all.
 pub(crate) fn nearest_lens(
     lens: &Lens,
     free: &FreeLens,
@@ -39,7 +39,7 @@ pub(crate) fn nearest_lens(
     nearest_from(near, lens, free, &seen)
 }
 
-/// As [`nearest_lens`], with a lens to start from, whose parameters that are not free stay.
+/// As [`nearest_lens`], starting from a lens whose fixed parameters are kept.
 pub(crate) fn nearest_from(
     mut near: Lens,
     lens: &Lens,
@@ -59,7 +59,7 @@ pub(crate) fn nearest_from(
         }
         let square = by_free.transpose() * square.view((0, 0), (all, all)) * &by_free;
         let right = by_free.transpose() * right.rows(0, all);
-        // Parameters differ by orders of magnitude: in units of their own strength.
+        // Parameters differ by orders of magnitude, hence units of their own information.
         let scale = square.diagonal().map(|d| 1.0 / d.max(f64::MIN_POSITIVE).sqrt());
         let right = right.component_mul(&scale);
         if right.amax() < NO_MISS_PX {
@@ -77,7 +77,7 @@ pub(crate) fn nearest_from(
     Some(near)
 }
 
-/// The distortion of a lens in a larger model that holds it, or where a search for one begins.
+/// The distortion of a lens in a larger model that contains it; otherwise the start of a search.
 fn nested(lens: &Lens, model: LensModel) -> Option<Distortion> {
     let start = Distortion::start(model);
     match (lens.distortion.as_rational(), start.as_rational()) {

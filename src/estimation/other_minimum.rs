@@ -1,10 +1,10 @@
 //! Another lens of the same model that fits the views nearly as closely.
 //!
-//! A double sphere lens with ξ = 0 projects the same, to first order, with other focal lengths
-//! ([`ModelFacts::focal_coefficient`](crate::geometry::lens::model::ModelFacts)). So the cost has a
-//! ridge near ξ = 0 and a minimum on either side of it: lenses of fx 330, ξ 0.3 and of fx 217,
-//! ξ −0.14 project alike to 0.01 px up to 60 degrees off the axis. A descent ends on the side that
-//! it happens to begin on, and what one minimum says of its own deviations does not reach the other.
+//! A double sphere lens with ξ = 0 has, to first order, the same projection with other focal
+//! lengths ([`ModelFacts::focal_coefficient`](crate::geometry::lens::model::ModelFacts)). So the
+//! cost has a ridge near ξ = 0 and a minimum on either side of it: the projections of lenses of fx
+//! 330, ξ 0.3 and of fx 217, ξ −0.14 are equal to 0.01 px up to 60 degrees off the axis. Iterations
+//! end on the side where they start, and the covariance at one minimum does not include the other.
 
 use crate::estimation::camera_fit::{CameraFit, fit_again};
 use crate::estimation::joint::State;
@@ -16,25 +16,27 @@ use crate::estimation::start::Prepared;
 use crate::estimation::starts_from_other_lenses::squares_of_views;
 use crate::geometry::lens::Lens;
 
-/// A search on the other side begins at least and at most this far from ξ = 0. With 0.2 it begins
-/// beyond the ridge, which is flat near 0; beyond 0.6 few rays are seen. Chosen, not swept.
+/// The least and the largest distance from ξ = 0 at which a search on the other side starts. With
+/// 0.2 it starts beyond the ridge, which is flat near 0; beyond 0.6 few rays are in view. Chosen,
+/// not swept.
 const BEGINS: [f64; 2] = [0.2, 0.6];
 
-/// A lens that is less likely is left out: beyond three standard deviations. Chosen, not swept.
+/// A less probable lens is left out: this is three standard deviations. Chosen, not swept.
 const LEAST_PROBABILITY: f64 = 0.001;
 
-/// Another lens of the model that was asked for, which fits the views nearly as closely.
+/// Another lens of the requested model, which fits the views nearly as closely.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OtherMinimum {
     /// The lens.
     pub lens: Lens,
-    /// How likely it is, up to 0.5: by the likelihood of the corners, or that with other views of
-    /// the same kind it would fit more closely than the estimated one, whichever is greater.
+    /// Its probability, up to 0.5: by the likelihood of the corners, or the probability that with
+    /// other views of the same kind it would fit more closely than the estimated one, whichever is
+    /// greater.
     pub probability: f64,
 }
 
-/// The closer fit of those on either side of the ridge, and the other one where the views do not
-/// decide between them. `fit` as it is where its model has no ridge, or parameters that are given leave
+/// The closer of the fits on both sides of the ridge, and the other one where the views do not
+/// decide between them. `fit` unchanged where its model has no ridge, or given parameters leave
 /// none.
 pub(crate) fn closer_of_two_minima(
     fit: CameraFit,
@@ -51,9 +53,9 @@ pub(crate) fn closer_of_two_minima(
         .map(|(own, other)| if closer { other - own } else { own - other })
         .collect();
     let (best, other) = if closer { (fit, other) } else { (other, fit) };
-    // Where corners err by themselves the likelihood says it; where views err as a whole they
-    // scatter, which the likelihood does not know of. Differences that are next to nothing may all
-    // have one sign by chance.
+    // With independent corners, the likelihood is valid. With errors common to a view, which the
+    // likelihood does not include, the scatter between views is. Both are used, since tiny
+    // differences may all have the same sign by chance.
     let by_views = 1.0 - normal_probability(in_standard_errors(&differences));
     let odds = (-0.5 * differences.iter().sum::<f64>() / best.noise_square()).exp();
     let probability = by_views.max(odds / (1.0 + odds));

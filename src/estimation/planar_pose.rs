@@ -1,10 +1,10 @@
-//! Where a board is, from the directions in which a camera with a known lens sees its points:
-//! linear, any angle of view.
+//! The pose of a board from the directions of its points in a camera with a known lens: linear, for
+//! any field of view.
 //!
-//! Each direction b gives b × (M X) = 0 for the unknown M of the projection in homogeneous board
-//! coordinates X (the DLT, with directions in place of pixels, so that points beside the camera are
-//! as good as others). A flat board leaves M = [r1 r2 t], eight unknowns and a scale; points in
-//! space leave M = [R t], twelve.
+//! Each direction b gives b × (M X) = 0 for the unknown projection M in homogeneous board
+//! coordinates X (the DLT with directions in place of pixels, so that points beside the camera are
+//! as good as others). For a flat board M = [r1 r2 t], with eight unknowns and a scale; for points
+//! in space M = [R t], with twelve.
 
 use nalgebra::{DMatrix, Matrix3, Matrix3x4, Point3, SMatrix, Vector3};
 
@@ -13,12 +13,12 @@ use crate::geometry::homography::smallest_eigenvector;
 use crate::geometry::pixel::Bearing;
 use crate::geometry::pose::Pose;
 
-/// Points narrower than this, across over along, are on a line.
+/// Points with a smaller ratio of breadth to length lie on a line.
 const LEAST_BREADTH: f64 = 1e-4;
 
-/// Points thinner than this, thickness over width, are taken for a plane, which is where a board
-/// that is not even starts. Swept with boards 150 px wide and corners known to 0.1 px: started as a
-/// plane, none of 200 poses is wrong up to 0.1 (32 at 0.2); started as points in space, none from
+/// Points with a smaller ratio of thickness to width are treated as coplanar, also those of an
+/// uneven board, for a start. Swept with boards 150 px wide and corners known to 0.1 px: started as
+/// a plane, none of 200 poses is wrong up to 0.1 (32 at 0.2); started as points in space, none from
 /// 0.003 on (23 at 0.001, 84 at 1e-4).
 const FLATNESS: f64 = 1e-2;
 
@@ -27,7 +27,7 @@ const FLATNESS: f64 = 1e-2;
 pub(crate) enum Shape {
     /// On a plane: z = 0 in this frame.
     Flat {
-        /// To the frame whose xy plane holds the points, with the origin at their mean.
+        /// To the frame whose xy plane contains the points, with the origin at their mean.
         plane_from_board: Pose,
         /// 1 over the points' rms distance from the mean.
         scale: f64,
@@ -83,7 +83,7 @@ impl Shape {
         );
         let mut z = x.cross(&y);
         let (mut y, zed) = (y, z.z);
-        // Facing as the board's own z axis, so that front and back stay what they are.
+        // Oriented like the board's own z axis, so that front and back are kept.
         if zed < 0.0 {
             (y, z) = (-y, -z);
         }
@@ -100,9 +100,9 @@ impl Shape {
     }
 }
 
-/// `camera_from_board` from points and the directions in which they are seen; points without a
-/// direction are left out. The solution in front of the camera, of least algebraic error; to be
-/// refined. `None` where it is not determined.
+/// `camera_from_board` from points and their directions; points without a direction are left out.
+/// The solution in front of the camera with the least algebraic error, to be refined. `None` where
+/// it is not determined.
 pub(crate) fn pose_from_bearings(
     shape: &Shape,
     points: &[Point3<f64>],
@@ -153,7 +153,7 @@ fn flat_pose<'a>(
     let mut columns = Matrix3::from_row_slice(m.as_slice());
     columns.column_mut(0).scale_mut(scale);
     columns.column_mut(1).scale_mut(scale);
-    // Each point lies along its direction, not against it.
+    // Each point lies along its direction, not opposite to it.
     let along: f64 = seen
         .map(|(point, bearing)| {
             let p = *plane_from_board * *point;
@@ -164,8 +164,8 @@ fn flat_pose<'a>(
         columns = -columns;
     }
     let facing = |c: &Matrix3<f64>| zhang::pose_from_columns(c);
-    // `pose_from_columns` puts the origin in front; a fisheye may see it beside or behind, so that
-    // sign is undone.
+    // `pose_from_columns` chooses the sign that puts the origin in front. A fisheye may see it
+    // beside or behind the camera, so the original sign is restored.
     let camera_from_plane = if columns[(2, 2)] < 0.0 {
         let pose = facing(&-columns)?;
         let r = pose.rotation_matrix();

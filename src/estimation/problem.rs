@@ -1,5 +1,5 @@
-//! What is given to an estimate: points of the board and the pixels they were seen at, view by
-//! view; and what is to be estimated.
+//! The input of an estimate: points of the board with their pixels, view by view, and the
+//! parameters to estimate.
 
 use nalgebra::Point3;
 
@@ -10,21 +10,21 @@ use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
 
-/// A point of the board and where it was seen.
+/// A point of the board and its pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Correspondence {
     /// In meters.
     pub point_in_board: Point3<f64>,
-    /// Where it was seen.
+    /// Where it was observed.
     pub pixel: Pixel,
-    /// Standard deviation of `pixel` per axis, in pixels; weights are relative, the noise level
+    /// Standard deviation of `pixel` per axis, in pixels. Only ratios matter: the noise level
     /// itself is estimated.
     pub std_px: f64,
 }
 
 impl Correspondence {
-    /// The same corner where `board` was measured to have it; where it was stated, if that was not
-    /// measured.
+    /// The same corner at its position on a measured `board`; at its stated position, if that was
+    /// not measured.
     #[must_use]
     pub fn placed_on(&self, board: &MeasuredBoard) -> Self {
         let offset_m = board.offset_at(&self.point_in_board).unwrap_or_default();
@@ -35,9 +35,9 @@ impl Correspondence {
 /// One image of the board.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BoardView {
-    /// What the view is called in errors and results: a path or a sequence number.
+    /// The name of the view in errors and results: a path or a sequence number.
     pub name: String,
-    /// What was seen.
+    /// The observed corners.
     pub correspondences: Vec<Correspondence>,
 }
 
@@ -55,11 +55,11 @@ pub enum LensChoice {
 pub struct CameraProblem {
     /// The size of its images.
     pub image_size: ImageSize,
-    /// What was seen.
+    /// The observed views.
     pub views: Vec<BoardView>,
 }
 
-/// What shape a flat board may have.
+/// The shape that a flat board may have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum BoardShape {
     /// Exactly as stated, unless the views show that it is not: then its shape is estimated.
@@ -83,7 +83,7 @@ pub enum Shutter {
     Rolling,
 }
 
-/// What to estimate, and from where.
+/// What to estimate, and the start.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CameraOptions {
     /// The lens model. Default: chosen by held-out error.
@@ -92,19 +92,19 @@ pub struct CameraOptions {
     pub skew: bool,
     /// Whether fx = fy. Default: no.
     pub square_pixels: bool,
-    /// What shape the board may have. Default: found out.
+    /// The shape that the board may have. Default: detected from the views.
     pub board_shape: BoardShape,
-    /// The board as it was measured before: its corners are where that says, and its shape is not
+    /// The board as measured before: its corners have the measured positions, and its shape is not
     /// estimated again. Default: none.
     pub measured_board: Option<MeasuredBoard>,
-    /// How the sensor reads its rows. Default: found out.
+    /// How the sensor reads its rows. Default: detected from the views.
     pub shutter: Shutter,
     /// Lens parameters that are known. Default: none.
     pub given: Vec<GivenParameter>,
-    /// An earlier estimate to go on from. Default: none.
+    /// An earlier estimate to start from. Default: none.
     pub start: Option<CameraStart>,
-    /// Whether a view that equals another to the bit counts again, as where another sensor saw
-    /// something else then. Default: no.
+    /// Whether an exact copy of another view counts again, as where another sensor had a different
+    /// view then. Default: no.
     pub copies_count: bool,
     /// Ends the estimate early. Default: nothing does.
     pub interrupt: Interrupt,
@@ -129,7 +129,7 @@ impl GivenParameter {
 }
 
 impl CameraOptions {
-    /// Options that hold every parameter of `lens`; `interrupt` ends the estimate.
+    /// Options that fix every parameter of `lens`; `interrupt` ends the estimate.
     pub fn holding(lens: &Lens, interrupt: &Interrupt) -> Self {
         Self {
             lens: LensChoice::Model(lens.model()),
@@ -139,8 +139,8 @@ impl CameraOptions {
         }
     }
 
-    /// The same without what is known of the coefficients of `model`, of which other models have
-    /// none, or other ones of the same name.
+    /// The same without the given coefficients of `model`. Other models have no such coefficients,
+    /// or different ones of the same name.
     #[must_use]
     pub(crate) fn without_given_coefficients(mut self, model: LensModel) -> Self {
         self.given.retain(|given| !model.coefficient_names().contains(&given.name.as_str()));
@@ -176,8 +176,8 @@ impl Default for CameraOptions {
 pub struct CameraStart {
     /// Its lens; used where it is of the model to fit.
     pub lens: Lens,
-    /// Its `camera_from_board` of the problem's first views; views beyond it, or without one, are
-    /// found anew.
+    /// Its `camera_from_board` for the problem's first views; the poses of further views, and of
+    /// views without one, are estimated from scratch.
     pub camera_from_board: Vec<Option<Pose>>,
     /// Its [`crate::estimation::camera_estimate::CameraEstimate::noise_floor_px`].
     pub noise_floor_px: f64,

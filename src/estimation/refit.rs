@@ -1,5 +1,5 @@
-//! The fit of some of the frame sets, from the fit of all, and the errors of others under it. For a
-//! camera by itself a frame set is a view.
+//! The fit of some of the frame sets, starting from the fit of all, and the errors of other frame
+//! sets under it. For a single camera a frame set is a view.
 
 use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::joint::linearize::LocalEquations;
@@ -8,16 +8,16 @@ use crate::estimation::joint::per_observation::assemble;
 use crate::estimation::joint::{BoardObservation, Layout, State};
 use crate::estimation::robust::Loss;
 
-/// A fit of some views is good enough for a comparison, or for halves, at 0.03 standard deviations
-/// from its minimum.
+/// A fit of some views ends within 0.03 standard deviations of its minimum, which is close enough
+/// for a comparison, or for halves.
 const COMPARED: Stop = Stop { max_steps: 50, decrease: 1e-3, part: 0.0, lambda: 0.0 };
 
-/// A step's cost is as it was predicted within this part: the problem is linear there, and the step
-/// its minimum.
+/// Where a step's cost equals the predicted one within this part, the problem is linear there, and
+/// the step leads to its minimum.
 const AS_PREDICTED: f64 = 0.01;
 
-/// The fit of some of the frame sets, each the indices of its observations in `chosen`, from the
-/// fit of all, from their separate equations `local`.
+/// The fit of some of the frame sets, starting from the fit of all, with the separate equations
+/// `local`. Each frame set is given by the indices of its observations in `chosen`.
 pub(crate) fn refit(
     fit: &CameraFit,
     chosen: &[BoardObservation],
@@ -39,8 +39,8 @@ pub(crate) fn refit(
     start.descend(&fit.layout, &observations, Loss::Squares, COMPARED)
 }
 
-/// The sum of squared pixel errors of `sensor` in one frame set, at the pose of the board that is
-/// best for all `seen` of it, with the lenses and sensors of `under`.
+/// The sum of squared pixel errors of `sensor` in one frame set, at the best pose of the board for
+/// all its observations `seen`, with the lenses and sensor poses of `under`.
 pub(crate) fn squares_under<'a>(
     under: &State,
     fit: &CameraFit,
@@ -60,7 +60,7 @@ pub(crate) fn squares_under<'a>(
     let mut residuals: Vec<Vec<[f64; 2]>> =
         observations.iter().map(|observation| stepped.residuals(&layout, observation)).collect();
     let cost: f64 = observations.iter().zip(&residuals).map(|(o, r)| used_squares(o, r)).sum();
-    // A step that ends as it was predicted needs no second one.
+    // A step that ends as predicted needs no second one.
     let predicted = minimum.equations.cost - step.predicted_decrease;
     if !cost.is_finite() || (cost - predicted).abs() > AS_PREDICTED * cost {
         let stop = Stop { lambda: 0.0, decrease: 1e-4, ..Stop::default() };

@@ -1,6 +1,6 @@
-//! Several sensors that are fixed to each other, from views of one board: lenses, where the sensors
-//! are, and where the board was at each frame set, in one joint problem. A sensor need not see
-//! every frame set.
+//! Several sensors that are fixed to each other, from views of one board: lenses, sensor poses, and
+//! the board's pose at each frame set, in one joint problem. A sensor need not observe every frame
+//! set.
 
 use nalgebra::{DMatrix, Matrix6};
 
@@ -29,60 +29,61 @@ use crate::geometry::pose::Pose;
 pub struct RigProblem {
     /// Its sensors; the first is the rig's own frame.
     pub sensors: Vec<RigSensor>,
-    /// How many frame sets there are.
+    /// Number of frame sets.
     pub frame_sets: usize,
 }
 
-/// One sensor of a rig and what it saw.
+/// One sensor of a rig and its observations.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RigSensor {
     /// Its name, in errors.
     pub name: String,
     /// The size of its images.
     pub image_size: ImageSize,
-    /// What it saw.
+    /// Its observations.
     pub views: Vec<FrameSetView>,
-    /// What to estimate of its lens.
+    /// Which parameters of its lens to estimate.
     pub options: CameraOptions,
-    /// Covariance of its lens by a solve of its own that measured the board's shape, which it
-    /// counts, where `options.measured_board` comes of it; `None` for a board of known shape.
+    /// Covariance of its lens from its own solve that also estimated the board's shape, including
+    /// the uncertainty of the shape, where `options.measured_board` comes from that solve; `None`
+    /// for a board of known shape.
     pub lens_covariance_with_shape: Option<DMatrix<f64>>,
 }
 
 /// A sensor's view of the board in one frame set.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameSetView {
-    /// Which frame set, counted from 0: sensors' views of one frame set were taken together.
+    /// The frame set, counted from 0: sensors' views of one frame set were taken together.
     pub frame_set: usize,
-    /// The corners that the sensor saw then.
+    /// The corners that the sensor observed in it.
     pub view: BoardView,
 }
 
 /// A calibrated rig.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RigEstimate {
-    /// Each sensor's lens and views, as a camera by itself.
+    /// Each sensor's lens and views, as for a single camera.
     pub cameras: Vec<CameraEstimate>,
-    /// Where each sensor is; the first is the identity.
+    /// The pose of each sensor; the first is the identity.
     pub sensor_poses: Vec<SensorPose>,
-    /// By sensor, what two halves of the frame sets say of each other; empty with fewer than six
-    /// frame sets.
+    /// By sensor, the comparison of two halves of the frame sets; empty with fewer than six frame
+    /// sets.
     pub halves: Vec<SensorHalves>,
 }
 
-/// How far two halves of a rig's frame sets, fitted separately, differ in one sensor.
+/// The differences of two halves of a rig's frame sets, fitted separately, in one sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SensorHalves {
     /// In its lens.
     pub lens: LensDifference,
-    /// In where it is; `None` for the first sensor, which is the rig's own frame.
+    /// In its pose; `None` for the first sensor, which is the rig's own frame.
     pub pose: Option<PoseBetweenHalves>,
-    /// Root mean square error of each half's views under lenses and sensors of the other half, in
-    /// pixels.
+    /// Root mean square error of each half's views under the lenses and sensor poses of the other
+    /// half, in pixels.
     pub held_out_rms_px: Option<f64>,
 }
 
-/// Where a sensor is on the rig.
+/// The pose of a sensor on the rig.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SensorPose {
     /// The pose.
@@ -90,18 +91,18 @@ pub struct SensorPose {
     /// Its covariance, as a rotation about the sensor's axes (radians) and a translation (meters);
     /// zero for the first sensor.
     pub covariance: Matrix6<f64>,
-    /// How many times greater that is for views that differ by more than their corners' noise, as
-    /// [`CameraEstimate::variance_inflation`]; what is not known of the board's shape is not
-    /// counted.
+    /// The variance inflation in it for scatter between views beyond that of their corners' noise,
+    /// as [`CameraEstimate::variance_inflation`]; the uncertainty of the board's shape is not
+    /// included.
     pub variance_inflation: f64,
 }
 
-/// Calibrates a rig: each sensor by itself for a start, then everything jointly, each sensor
-/// weighted by its own noise.
+/// Calibrates a rig: each sensor by itself for a start, then all jointly, with each sensor weighted
+/// by its own noise.
 ///
 /// # Errors
 /// As [`crate::estimation::camera::calibrate_camera`] for each sensor; a sensor that shares no
-/// frame set with the others, or agrees with them in none.
+/// frame set with the others, or is inconsistent with them in all.
 pub fn calibrate_rig(problem: &RigProblem) -> Result<RigEstimate, EstimationError> {
     let cameras: Vec<CameraProblem> =
         problem.sensors.iter().map(RigSensor::to_camera_problem).collect();
@@ -153,9 +154,9 @@ pub fn calibrate_rig(problem: &RigProblem) -> Result<RigEstimate, EstimationErro
     Ok(RigEstimate { cameras: estimates, sensor_poses, halves })
 }
 
-/// That every sensor has a view that the others do not contradict: without, nothing holds its lens
-/// and its place, and no step of the others is possible. The first sensor, which the others are
-/// placed by, is named last.
+/// Checks that every sensor has a view that is consistent with the others. Without one, its lens
+/// and pose are not determined, and the joint problem has no solution. The first sensor, relative
+/// to which the others are placed, is named last.
 fn agree(problem: &RigProblem, fit: &CameraFit) -> Result<(), EstimationError> {
     let has_view = |sensor: usize| {
         let mut own = fit.observations.iter().zip(&fit.faults);
@@ -169,7 +170,7 @@ fn agree(problem: &RigProblem, fit: &CameraFit) -> Result<(), EstimationError> {
     }
 }
 
-/// Empty for exact corners, of which halves agree to rounding.
+/// Empty for exact corners, whose halves agree to rounding.
 fn compare_halves(
     fit: &CameraFit,
     cameras: &[CameraEstimate],
@@ -188,9 +189,9 @@ fn compare_halves(
     cameras.iter().zip(sensor_poses).enumerate().map(of_sensor).collect()
 }
 
-/// By how many times variances are greater for what is not known of the board's shape. Each sensor
-/// that measured it says by how many when that is by itself; together they know it as many times
-/// better as they are.
+/// The factor on variances for the uncertainty of the board's shape. Each sensor that measured the
+/// shape gives a factor for itself; the excess is divided by the number of these sensors, since
+/// together they know the shape that much better.
 fn shape_widening_of(problem: &RigProblem, alone: &[(Prepared, CameraFit)]) -> f64 {
     let of_sensor = |(sensor, (_, fit)): (&RigSensor, &(Prepared, CameraFit))| {
         let with_shape = sensor.lens_covariance_with_shape.as_ref()?;
@@ -213,7 +214,7 @@ impl RigSensor {
         }
     }
 
-    /// The good poses of the board in `fit`.
+    /// The board's poses in the good views of `fit`.
     fn placed<'a>(&'a self, fit: &'a CameraFit) -> impl Iterator<Item = FrameSetPose> + 'a {
         let state = &fit.robust.minimum.state;
         let views = self.views.iter().enumerate().filter(|(view, _)| fit.faults[*view].is_none());
@@ -225,8 +226,8 @@ impl RigSensor {
     }
 }
 
-/// The noise of a sensor by itself; of exact corners a part of their deviations that is far above
-/// rounding.
+/// The noise of a sensor by itself; at least a small part of the standard deviations, well above
+/// rounding, for exact corners.
 fn own_noise(fit: &CameraFit) -> f64 {
     fit.noise_square().sqrt().max(1e-6)
 }
@@ -236,7 +237,7 @@ fn fit_jointly(
     alone: &[(Prepared, CameraFit)],
 ) -> Result<CameraFit, EstimationError> {
     let (sensor_from_rig, rig_from_board) = place_sensors(problem, alone)?;
-    // Of frame sets whose every view was rejected, where a sensor by itself locates the board.
+    // Includes frame sets whose every view was rejected, where a single sensor locates the board.
     let mut located = rig_from_board.clone();
     let (mut observations, mut faults) = (Vec::new(), Vec::new());
     for (index, (sensor, (_, fit))) in problem.sensors.iter().zip(alone).enumerate() {
@@ -276,22 +277,22 @@ fn fit_jointly(
     let residuals = &mut robust.minimum.equations.residuals;
     for (residuals, observation) in residuals.iter_mut().zip(&observations) {
         if located[observation.frame_set].is_none() {
-            // Nobody knows where the board was.
+            // The board's pose is not known.
             residuals.fill([f64::INFINITY; 2]);
         }
     }
     Ok(CameraFit::new(layout, robust, observations, faults))
 }
 
-/// A board seen further round than this, in radians, against the other sensors was labeled from
-/// its other end.
+/// A board whose rotation differs by more than this, in radians, from that by the other sensors was
+/// labeled from its other end.
 const HALF_TURN: f64 = 2.4;
 
 type Places = (Vec<Pose>, Vec<Option<Pose>>);
 
 /// `sensor_from_rig` of each sensor and `rig_from_board` of each frame set, from the poses that
-/// each sensor found by itself: sensor by sensor, each joined to those already placed by the
-/// relative pose that most shared frame sets agree on.
+/// each sensor found by itself. Each sensor is joined to those already placed by the median
+/// relative pose over shared frame sets.
 fn place_sensors(
     problem: &RigProblem,
     alone: &[(Prepared, CameraFit)],

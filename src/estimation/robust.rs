@@ -1,14 +1,14 @@
-//! Which residuals to believe: scale from the median, losses that bound what a wrong corner can do.
+//! Robust estimation: the scale from the median, and losses that bound the effect of an outlier.
 
 use crate::geometry::median::median;
 
-/// What a squared residual r² (in two dimensions, in standard deviations) costs.
+/// The loss of a squared residual r² (in two dimensions, in standard deviations).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Loss {
-    /// r²: right when every residual is noise.
+    /// r²: optimal when every residual is noise.
     Squares,
-    /// r² up to `scale`², then 2 `scale` r − `scale`² (P. Huber, 1964): convex, so a start far away
-    /// is no trap.
+    /// r² up to `scale`², then 2 `scale` r − `scale`² (P. Huber, 1964). It is convex, so that it
+    /// adds no local minima far from the solution.
     Huber {
         /// Where it becomes linear.
         scale: f64,
@@ -16,7 +16,7 @@ pub(crate) enum Loss {
 }
 
 impl Loss {
-    /// What r² costs and weighs.
+    /// The cost and the weight at r².
     pub(crate) fn at(self, r2: f64) -> LossAt {
         match self {
             Self::Squares => LossAt { cost: r2, weight: 1.0 },
@@ -41,9 +41,9 @@ pub(crate) struct LossAt {
 const RAYLEIGH_MEDIAN: f64 = 1.177_410_022_515_474_7;
 
 /// The standard deviation per axis of two-dimensional residuals, from the median of their lengths.
-/// Bounded while fewer than half of them are wrong: with a part p far off, the median of all is the
-/// 0.5 / (1 − p) quantile of the others, which is 8 % too large with a tenth wrong and 41 % with a
-/// third. 0 for none.
+/// Bounded while fewer than half of them are outliers: with a part p of outliers, the median of all
+/// is the 0.5 / (1 − p) quantile of the inliers, which is 8 % too large with a tenth and 41 % with
+/// a third. 0 for none.
 pub(crate) fn median_scale(residuals: impl Iterator<Item = [f64; 2]>) -> f64 {
     let squares = residuals.map(|[x, y]| x * x + y * y).collect();
     median(squares).unwrap_or(0.0).sqrt() / RAYLEIGH_MEDIAN

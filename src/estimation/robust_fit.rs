@@ -1,43 +1,42 @@
-//! A fit that wrong corners and wrong views do not move: Huber's loss while the scale of the
-//! residuals falls, then plain least squares over the corners within a limit, chosen anew until the
-//! choice stands.
+//! A robust fit, insensitive to wrong corners and wrong views: Huber's loss while the scale of the
+//! residuals falls, then plain least squares over the inliers, selected again until the selection
+//! no longer changes.
 
 use crate::estimation::joint::minimize::{Minimum, Stop};
 use crate::estimation::joint::{BoardObservation, Layout, State};
 use crate::estimation::robust::{Loss, median_scale};
 use crate::estimation::view_fault::ViewFault;
 
-/// Residual limit of an inlier, in standard deviations: four of a million Gaussian ones are beyond.
+/// Residual limit of an inlier, in standard deviations: four in a million Gaussian ones exceed it.
 pub(crate) const LIMIT: f64 = 5.0;
 
 /// Where Huber's loss becomes linear, in standard deviations.
 const HUBER: f64 = 2.0;
 
-/// With a smaller share of outliers, plain least squares is near enough to separate them.
+/// With a smaller part of outliers, the result of plain least squares suffices to separate them.
 const FEW: f64 = 0.005;
 
-/// Until the scale of the residuals is known to a few percent. Little damping: a start from the
-/// closed form is near, and more costs a step of its own.
+/// Stops once the scale of the residuals is known to a few percent. There is little damping, since
+/// a start from the closed form is close, and more would cost an additional step.
 const ROUGH: Stop = Stop { max_steps: 50, decrease: 0.0, part: 0.02, lambda: 1e-4 };
 
-/// A view with a smaller share of inliers has wrong labels, rather than some wrong corners.
+/// A view with a smaller part of inliers has wrong labels, rather than some wrong corners.
 const MIN_USED: f64 = 0.6;
 
 /// Residuals below this, in units of each corner's standard deviation, are rounding.
 pub(crate) const ROUNDING: f64 = 1e-8;
 
-/// A fit that has settled.
+/// A fit that has converged.
 #[derive(Debug, Clone)]
 pub(crate) struct RobustFit {
     pub(crate) minimum: Minimum,
-    /// The distance, in units of each corner's relative standard deviation, up to which corners
-    /// were believed.
+    /// The largest residual of an inlier, in units of each corner's relative standard deviation.
     pub(crate) limit: f64,
 }
 
-/// Fits from `start`; chooses `used` of the observations whose `faults` entry is `None`, and adds
-/// the faults of views that have too few good corners. `None` where nothing can be projected or
-/// everything was rejected.
+/// Fits from `start`. Selects `used` of the observations whose `faults` entry is `None`, and adds
+/// faults of views with too few inliers. `None` where nothing can be projected or everything was
+/// rejected.
 pub(crate) fn robust_fit(
     layout: &Layout,
     start: State,
@@ -74,7 +73,7 @@ pub(crate) fn robust_fit(
         if round > 0 && !changed {
             break;
         }
-        // Where Huber's loss became linear beyond every residual, it was least squares already.
+        // Huber's loss whose linear part no residual reaches is least squares.
         let was_squares = match loss {
             Loss::Squares => true,
             Loss::Huber { scale } => {
@@ -97,8 +96,8 @@ fn huber(scale: f64) -> Loss {
     Loss::Huber { scale: HUBER * scale }
 }
 
-/// Whether residuals show a view that was given up to be a good one after all: nine of ten are
-/// within `limit`. Wrong labels leave few there.
+/// Whether the residuals show that a rejected view is good after all: nine of ten corners are
+/// within `limit`. With wrong labels, few are.
 pub(crate) fn is_explained(residuals: &[[f64; 2]], limit: f64) -> bool {
     let inliers = residuals.iter().filter(|[x, y]| x.hypot(*y) <= limit).count();
     10 * inliers >= 9 * residuals.len()
@@ -113,7 +112,7 @@ pub(crate) fn scale_of(observations: &[BoardObservation], residuals: &[Vec<[f64;
     median_scale(used.flat_map(|(_, residuals)| residuals.iter().copied()))
 }
 
-/// The share of the used corners whose residuals exceed `limit`.
+/// The part of the used corners whose residuals exceed `limit`.
 fn part_beyond(limit: f64, observations: &[BoardObservation], residuals: &[Vec<[f64; 2]>]) -> f64 {
     let corners = || {
         observations

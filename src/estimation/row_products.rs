@@ -1,16 +1,16 @@
-//! The products of sparse rows of a Jacobian, Σ jᵀj, where many rows have the same columns: such rows
-//! are gathered, and what they add is one product of dense matrices.
+//! The products of sparse rows of a Jacobian, Σ jᵀj, where many rows have the same columns. Such
+//! rows are gathered, and their sum is one product of dense matrices.
 
 use std::collections::BTreeMap;
 
 use nalgebra::{DMatrix, DMatrixView};
 
-/// Gathered rows are added once there are so many. Chosen, not swept: enough for a product of
-/// matrices to be fast, few enough to stay in the cache.
+/// The number of gathered rows at which their products are added. Chosen, not swept: enough for a
+/// fast matrix product, few enough to stay in the cache.
 const ROWS_AT_ONCE: usize = 128;
 
-/// Rows whose products are still to be added, by their columns. Rows with the same first column and
-/// the same number of columns must have the same columns.
+/// Rows whose products are not yet added, by their columns. Rows with the same first column and the
+/// same number of columns must have the same columns.
 #[derive(Default)]
 pub(crate) struct SparseRowProducts {
     gathered: BTreeMap<(usize, usize), RowsAlike>,
@@ -24,8 +24,8 @@ struct RowsAlike {
 }
 
 impl SparseRowProducts {
-    /// A row by its columns with their values. Its products reach the upper half of `upper` now or
-    /// with [`Self::add_all`].
+    /// Adds a row, given by its columns with their values. Its products are added to the upper
+    /// triangle of `upper` now or with [`Self::add_all`].
     pub(crate) fn push(&mut self, row: &[(usize, f64)], upper: &mut DMatrix<f64>) {
         let Some((first, _)) = row.first() else { return };
         let alike = self.gathered.entry((*first, row.len())).or_default();
@@ -38,7 +38,7 @@ impl SparseRowProducts {
         }
     }
 
-    /// Adds the rows that are still gathered to the upper half of `upper`.
+    /// Adds the remaining gathered rows to the upper triangle of `upper`.
     pub(crate) fn add_all(&mut self, upper: &mut DMatrix<f64>) {
         self.gathered.values_mut().for_each(|alike| alike.add(upper));
     }
@@ -64,7 +64,8 @@ mod tests {
 
     #[test]
     fn products_are_those_of_the_whole_jacobian() {
-        // Two kinds of rows that share columns, out of order, and more of one than are held back.
+        // Two kinds of rows that share columns, out of order, and more of one than are gathered at
+        // once.
         let value = |row: usize, k: usize| ((row * 7 + k * 3) % 11) as f64 - 5.0;
         let columns =
             |row: usize| if row.is_multiple_of(3) { vec![1, 4, 0] } else { vec![2, 3, 4, 0] };

@@ -1,11 +1,11 @@
-//! Inverses of symmetric matrices over parameters that differ by orders of magnitude: each is put
-//! in a unit of its own before the matrix is factored, which keeps the pivots comparable.
-//! Deliberately not used where the matrix has a fixed size and no room is to be taken (poses), is
-//! factored by blocks (effects), is damped in those units, or is compared in them.
+//! Inverses of symmetric matrices over parameters that differ by orders of magnitude: each
+//! parameter is scaled before the matrix is factored, which keeps the pivots comparable.
+//! Deliberately not used where the matrix has a fixed size and is not to be allocated (poses), is
+//! factored by blocks (effects), or is damped or compared in scaled units.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
-/// L of L Lᵀ = S M S, where S is a diagonal of units.
+/// L of L Lᵀ = S M S, where S is a diagonal matrix of units.
 #[derive(Debug, Clone)]
 pub(crate) struct ScaledFactor {
     scale: DVector<f64>,
@@ -13,14 +13,14 @@ pub(crate) struct ScaledFactor {
 }
 
 impl ScaledFactor {
-    /// That of `matrix` in units that make its diagonal 1; `None` where it is not positive
+    /// The factor of `matrix` in units that make its diagonal 1; `None` where it is not positive
     /// definite.
     pub(crate) fn of(matrix: &DMatrix<f64>) -> Option<Self> {
         let scale = matrix.diagonal().map(|value| 1.0 / value.max(f64::MIN_POSITIVE).sqrt());
         Self::in_units(matrix, scale)
     }
 
-    /// That of `matrix`, of which only the lower half is read, with S = diag `scale`.
+    /// The factor of `matrix`, of which only the lower triangle is read, with S = diag `scale`.
     pub(crate) fn in_units(matrix: &DMatrix<f64>, scale: DVector<f64>) -> Option<Self> {
         let factor = scaled(matrix, &scale).cholesky()?;
         Some(Self { scale, factor })

@@ -1,15 +1,16 @@
-//! What is not known of a board's shape, in the deviations of a solve that took it as measured.
+//! How the uncertainty of a board's shape widens the covariance of a solve that took the shape as
+//! known.
 
 use nalgebra::DMatrix;
 
-/// By how many times the variances of a lens are greater when the board's shape is estimated along
-/// (`with_shape`) than on a board of known shape (`known_shape`), in the mean over the parameters
-/// that are estimated: tr(Σ Σ₀⁻¹) / n, which no scale of a parameter changes; 1 at least.
+/// The factor on the variances of a lens if the board's shape is estimated too (`with_shape`),
+/// relative to a board of known shape (`known_shape`), as the mean over the estimated parameters:
+/// tr(Σ Σ₀⁻¹) / n, which is independent of the parameters' scales; at least 1.
 pub(crate) fn widening(with_shape: &DMatrix<f64>, known_shape: &DMatrix<f64>) -> f64 {
     let estimated: Vec<usize> =
         (0..known_shape.nrows()).filter(|k| known_shape[(*k, *k)] > 0.0).collect();
     let size = estimated.len();
-    // In units of the parameters' own deviations, which differ by orders of magnitude.
+    // In units of the parameters' own standard deviations, which differ by orders of magnitude.
     let of = |covariance: &DMatrix<f64>| {
         DMatrix::from_fn(size, size, |i, j| {
             let [a, b] = [estimated[i], estimated[j]];

@@ -1,6 +1,6 @@
 //! Two disjoint halves of the frame sets, fitted separately: by how much lenses and poses differ in
-//! units of what their uncertainties predict, and how well each half predicts the other. A camera
-//! by itself is a rig of one sensor, whose frame sets are its views.
+//! units of their predicted uncertainties, and how well each half predicts the other. A single
+//! camera is a rig of one sensor, whose frame sets are its views.
 
 use std::ops::Range;
 
@@ -19,36 +19,36 @@ use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::{Pose, pose_step};
 
-/// Minimum number of frame sets: fewer have no halves that determine a lens each.
+/// The least number of frame sets: with fewer, the halves do not determine a lens each.
 pub(crate) const MIN_FRAME_SETS: usize = 6;
 
-/// Columns of the grid that projections are compared on.
+/// Columns of the grid on which projections are compared.
 const COLUMNS: u32 = 10;
 
-/// Where another lens raises the squares of a view by less than this part, what second order leaves
-/// out of it is far less.
+/// A second-order prediction is used where another lens raises the squares of a view by less than
+/// this part: the higher-order terms are then far smaller.
 const NEARBY: f64 = 0.2;
 
-/// A lens as it is stated, with the covariance of all its parameters.
+/// The estimated lens, with the covariance of all its parameters.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct LensWithCovariance<'a> {
     pub(crate) lens: &'a Lens,
     pub(crate) covariance: &'a DMatrix<f64>,
 }
 
-/// By how much two halves differ in a lens.
+/// The difference between two halves in a lens.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LensDifference {
-    /// As [`crate::estimation::model_check::ModelCheck::split_half_ratio`]; `None` where nothing is
-    /// predicted, as for a lens that is not estimated.
+    /// As [`crate::estimation::model_check::ModelCheck::split_half_ratio`]; `None` where no
+    /// difference is predicted, as for a lens that is not estimated.
     pub ratio: Option<f64>,
-    /// By how much the focal length differs, relative to itself.
+    /// The difference of the focal lengths, relative to the focal length.
     pub focal_change: f64,
 }
 
 impl LensDifference {
-    /// Of the lenses that the halves have, beside `stated`; `covariance` is that of their
-    /// difference, `None` where it is not determined.
+    /// Between the lenses of the halves. `stated` is the lens of the whole; `covariance` is that of
+    /// the difference, `None` where it is not determined.
     pub(crate) fn between(
         lenses: [&Lens; 2],
         stated: &Lens,
@@ -64,11 +64,11 @@ impl LensDifference {
     }
 }
 
-/// By how much two halves differ in where a sensor is.
+/// The difference between two halves in the pose of a sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PoseBetweenHalves {
-    /// The root of the mean square of its six numbers in units of their predicted deviations, about
-    /// 1 when the model is right.
+    /// The root mean square of its six components in units of their predicted standard deviations,
+    /// about 1 when the model is right.
     pub ratio: f64,
     /// The angle between both, in radians.
     pub rotation_rad: f64,
@@ -77,15 +77,16 @@ pub struct PoseBetweenHalves {
 }
 
 impl PoseBetweenHalves {
-    /// Of the two poses that the halves have, whose difference has this `covariance` (rotation in
-    /// radians about the target's axes, then translation in meters). `None` where that is singular.
+    /// Between the poses of the halves, whose difference has this `covariance` (rotation in radians
+    /// about the target's axes, then translation in meters). `None` where that is singular.
     pub fn between(a_from_b: [&Pose; 2], covariance: &DMatrix<f64>) -> Option<Self> {
         let [first, second] = a_from_b;
         let rotation = (second.rotation() * first.rotation().inverse()).scaled_axis();
         let translation = second.translation() - first.translation();
         let step = pose_step(&rotation, &translation);
         let step = DVector::from_column_slice(step.as_slice());
-        // Radians and meters differ by orders of magnitude: in units of their own deviations.
+        // Radians and meters differ by orders of magnitude, hence units of their standard
+        // deviations.
         let std = covariance.diagonal().map(f64::sqrt);
         let scaled = DMatrix::from_fn(6, 6, |i, j| covariance[(i, j)] / (std[i] * std[j]));
         let in_stds = step.component_div(&std);
@@ -96,9 +97,10 @@ impl PoseBetweenHalves {
     }
 }
 
-/// The difference of the projections of two lenses, after the best compensating rotation, over what
-/// is predicted at that pixel: the root of the mean square over the image. `predicted` is a lens
-/// near both, and the covariance of their difference. `None` where nothing is seen of the image.
+/// The difference of the projections of two lenses, after the best compensating rotation, over its
+/// predicted standard deviation at that pixel: the root mean square over the image. `predicted` is
+/// a lens close to both, with the covariance of their difference. `None` where the lens sees
+/// nothing of the image.
 fn projection_ratio(
     [first, second]: [&Lens; 2],
     predicted: LensWithCovariance<'_>,
@@ -108,7 +110,8 @@ fn projection_ratio(
     let LensWithCovariance { lens, covariance } = predicted;
     let predicted = projection_uncertainty(lens, covariance, grid, Distance::Infinity)?;
     let seen = projection_difference(first, second, grid, &predicted.weights);
-    // Each pixel against its own prediction: a corner that no view reached must not drown the rest.
+    // Each pixel relative to its own prediction, so that an image corner that no view reached does
+    // not dominate.
     let ratios = seen.iter().zip(&predicted.square_px2).filter_map(|(seen, predicted)| {
         let [x, y] = (*seen)?;
         Some((x * x + y * y) / (*predicted)?)
@@ -132,7 +135,7 @@ impl<'a> SplitHalves<'a> {
         if all.len() < MIN_FRAME_SETS {
             return None;
         }
-        // Frame sets that the same sensors see are dealt to both halves alike.
+        // Frame sets with the same sensors are assigned to both halves in equal numbers.
         let sensors = |frame_set: &Vec<usize>| -> Vec<usize> {
             frame_set.iter().map(|index| fit.observations[*index].sensor).collect()
         };
@@ -146,7 +149,7 @@ impl<'a> SplitHalves<'a> {
         Some(Self { fit, frame_sets, halves })
     }
 
-    /// By how much the halves differ in the lens of `sensor`, which is stated so.
+    /// The difference between the halves in the lens of `sensor`; `stated` is that of the whole.
     pub(crate) fn lens_difference(
         &self,
         sensor: usize,
@@ -159,8 +162,8 @@ impl<'a> SplitHalves<'a> {
         LensDifference::between(lenses, stated.lens, covariance.as_ref(), image_size)
     }
 
-    /// By how much the halves differ in where `sensor` is on the rig; its pose has the covariance
-    /// `stated`. `None` for the first sensor, which is the rig's own frame.
+    /// The difference between the halves in the pose of `sensor`, which has the covariance `stated`
+    /// in the whole. `None` for the first sensor, which is the rig's own frame.
     pub(crate) fn pose_difference(
         &self,
         sensor: usize,
@@ -173,8 +176,8 @@ impl<'a> SplitHalves<'a> {
         PoseBetweenHalves::between(sensor_from_rig, &covariance)
     }
 
-    /// Root mean square error of the views of `sensor`, in pixels, each under what the other half
-    /// has for lenses and sensors.
+    /// Root mean square error of the views of `sensor`, in pixels, each under the lenses and sensor
+    /// poses of the other half.
     pub(crate) fn held_out_rms_px(&self, sensor: usize) -> Option<f64> {
         let (mut sum, mut corners) = (0.0, 0);
         for (half, frame_sets) in self.frame_sets.iter().enumerate() {
@@ -191,7 +194,7 @@ impl<'a> SplitHalves<'a> {
         (corners > 0).then(|| (sum / corners as f64).sqrt())
     }
 
-    /// Of all parameters of the lens of `sensor` that `half` gives.
+    /// The covariance of all parameters of the lens of `sensor` in one half.
     fn lens_covariance(
         &self,
         half: usize,
@@ -207,9 +210,9 @@ impl<'a> SplitHalves<'a> {
         Some(&by_free * covariance * by_free.transpose())
     }
 
-    /// The covariance of the global parameters `block` that one half gives: what its own views
-    /// determine, as much wider as that of the whole, `stated`, is than corners that err by
-    /// themselves would make it.
+    /// The covariance of the global parameters `block` in one half: that with independent corners,
+    /// widened as the covariance of the whole, `stated`, is relative to its own with independent
+    /// corners.
     fn half_covariance(
         &self,
         half: usize,
@@ -236,9 +239,10 @@ impl<'a> SplitHalves<'a> {
     }
 }
 
-/// The sum of squared pixel errors of a frame set of one sensor at the best pose of the board under
-/// a lens near that of the fit, to second order from what the view said there; `None` where that is
-/// not near enough, its corners have not all the same to say, or a rig has other sensors.
+/// The sum of squared pixel errors of a frame set of one sensor, at the best pose of the board,
+/// under a lens close to that of the fit: to second order, from the view's equations at the fit.
+/// `None` where the lens is not close enough, the corners have different weights, or the rig has
+/// other sensors.
 fn squares_nearby(under: &State, fit: &CameraFit, frame_set: &[usize]) -> Option<f64> {
     let [view] = *frame_set else { return None };
     let (minimum, observation) = (&fit.robust.minimum, &fit.observations[view]);
@@ -279,7 +283,7 @@ mod tests {
         let std = [2e-4, 1e-4, 2e-4, 0.3, 1.0, 0.4];
         let covariance = DMatrix::from_fn(6, 6, |i, j| if i == j { std[i] * std[i] } else { 0.0 });
         let difference = PoseBetweenHalves::between([&first, &second], &covariance).unwrap();
-        // Five of the six are off by one.
+        // Five of the six components differ by one standard deviation.
         assert!((difference.ratio - (5.0_f64 / 6.0).sqrt()).abs() < 1e-9, "{difference:?}");
         assert!((difference.rotation_rad - 3e-4).abs() < 1e-12, "{difference:?}");
         assert!((difference.translation_m - 0.5).abs() < 1e-12, "{difference:?}");

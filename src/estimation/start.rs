@@ -1,4 +1,4 @@
-//! Where to start without any guess: Zhang's closed form, or, where a lens distorts the image too
+//! The start without an initial guess: Zhang's closed form; or, where a lens distorts the image too
 //! strongly for it, the focal length under which linear poses fit best.
 
 use std::ops::Range;
@@ -20,59 +20,60 @@ use crate::geometry::median::median;
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
 
-/// A view is left out of the start where the rms of its own homography is this part of its corners'
-/// rms distance from their mean: a strong fisheye leaves a tenth, labels out of order leave more
-/// than half.
+/// A view is left out of the start where the rms residual of its own homography exceeds this part
+/// of its corners' rms distance from their mean. A strong fisheye has a tenth, labels out of order
+/// have more than half.
 const MISFIT: f64 = 0.25;
 
-/// Pixels of less roundness ([`PixelScatter::roundness`]) are on a line, but for rounding.
+/// Pixels of less roundness ([`PixelScatter::roundness`]) lie on a line, up to rounding.
 const LEAST_ROUNDNESS: f64 = 1e-6;
 
-/// A relabeling explains a view whose homography then leaves less than this many times what those
-/// of the other views do, or …
+/// A relabeling explains a view if the rms of its homography is then less than this many times the
+/// median of the other views, or …
 const RELABELED_MEDIANS: f64 = 4.0;
-/// … this part of its corners' rms distance from their mean, of which wrong labels leave half.
-/// Neither was swept.
+/// … less than this part of its corners' rms distance from their mean. With wrong labels it is half
+/// of that. Neither was swept.
 const RELABELED_PART: f64 = 0.01;
 
-/// Views on which first lenses are compared, at most. The median of their errors holds with four
-/// wrong ones.
+/// The largest number of views on which first lenses are compared. The median of their errors
+/// tolerates four wrong ones.
 const COMPARED_VIEWS: usize = 9;
 
-/// A first lens that leaves less than this part of the image's diagonal (4 px at 640 × 480) is near
-/// enough to descend from; the focal lengths below are tried otherwise.
+/// A first lens whose error is less than this part of the image's diagonal (4 px at 640 × 480) is
+/// close enough to start from; otherwise the focal lengths below are tried.
 const GOOD_ENOUGH: f64 = 0.005;
 
-/// Focal lengths tried over the image's longer side: of a lens without distortion 136 to 7 degrees
-/// wide, each 1.3 to 1.7 times the one before. Not swept.
+/// Focal lengths tried, over the image's longer side: fields of view of 136 to 7 degrees without
+/// distortion, each focal length 1.3 to 1.7 times the one before. Not swept.
 const TRIED_FOCALS: [f64; 11] = [0.2, 0.28, 0.4, 0.55, 0.75, 1.0, 1.4, 2.0, 3.0, 5.0, 8.0];
 
-// A camera matrix of the closed form beyond these limits follows noise or distortion, and is no
-// candidate. Cameras lie far within them.
+// A camera matrix of the closed form beyond these limits fits noise or distortion, and is no
+// candidate. Cameras lie well within them.
 /// The principal point, as parts of the image's width and height.
 const PLAUSIBLE_CENTER: [f64; 2] = [0.1, 0.9];
 /// fx over fy.
 const PLAUSIBLE_ASPECT: Range<f64> = 0.6..1.6;
-/// fx over the image's longer side: of a lens without distortion 157 to 1.1 degrees wide.
+/// fx over the image's longer side: fields of view of 157 to 1.1 degrees without distortion.
 const PLAUSIBLE_FOCAL: Range<f64> = 0.1..50.0;
 
-/// At least this many corners make a view: a flat pose takes four, two more make errors show.
+/// The least number of corners of a view: a flat pose takes four, and two more make errors
+/// detectable.
 const MIN_POINTS: usize = 6;
 
 /// The views of a problem, each prepared by itself.
 pub(crate) struct Prepared {
     pub(crate) image_size: ImageSize,
     pub(crate) names: Vec<String>,
-    /// Where the points' common center lies in the board frame.
+    /// The points' common center in the board frame.
     pub(crate) center_in_board: Vector3<f64>,
     /// One per view; `frame_set` is the view's index.
     pub(crate) observations: Vec<BoardObservation>,
     pub(crate) views: Vec<PreparedView>,
-    /// Ends what is computed of them.
+    /// Ends computations on them early.
     pub(crate) interrupt: Interrupt,
 }
 
-/// What a view says by itself.
+/// What a view determines by itself.
 pub(crate) struct PreparedView {
     shape: Option<Shape>,
     homography: Option<FittedHomography>,
@@ -83,7 +84,7 @@ pub(crate) struct PreparedView {
 #[derive(Clone, Copy)]
 struct FittedHomography {
     pixel_from_plane: Homography,
-    /// What it leaves of the corners.
+    /// The rms of its residuals.
     rms_px: f64,
 }
 
@@ -93,7 +94,7 @@ impl Prepared {
         Self::about(problem, mean_point(std::slice::from_ref(problem)))
     }
 
-    /// As [`Self::of`], about a center that several problems share.
+    /// As [`Self::of`], about a center common to several problems.
     pub(crate) fn about(problem: &CameraProblem, center_in_board: Vector3<f64>) -> Self {
         // A flat board stays exactly flat.
         let observations: Vec<_> = problem
@@ -126,8 +127,8 @@ impl Prepared {
         }
     }
 
-    /// Names the views that have each corner where one before them has it, unless copies count: of
-    /// two images noise leaves none so.
+    /// Marks views whose corners all equal those of an earlier view as copies, unless copies count:
+    /// noise never leaves two images equal.
     pub(crate) fn name_copies(&mut self, options: &CameraOptions) {
         if options.copies_count {
             return;
@@ -144,8 +145,8 @@ impl Prepared {
         }
     }
 
-    /// Puts the corners where a measurement of the board has them. What views say by themselves
-    /// stays that of the stated board, which is near enough for a start.
+    /// Moves the corners to their positions on a measured board. The homographies of the views
+    /// remain those of the stated board, which suffice for a start.
     ///
     /// # Errors
     /// [`EstimationError::OtherBoard`] for a corner that was not measured.
@@ -158,7 +159,7 @@ impl Prepared {
         Ok(())
     }
 
-    /// What is known against each view.
+    /// The fault of each view, if it has one.
     pub(crate) fn faults(&self) -> Vec<Option<ViewFault>> {
         self.views.iter().map(|view| view.fault).collect()
     }
@@ -176,13 +177,13 @@ impl Prepared {
         }
     }
 
-    /// The views that nothing is known against, by index.
+    /// The views without a fault, by index.
     pub(crate) fn usable(&self) -> Vec<usize> {
         (0..self.views.len()).filter(|index| self.views[*index].fault.is_none()).collect()
     }
 
-    /// `camera_from_board` (about the common center) of each view under `lens`, linear; `None`
-    /// where there is none.
+    /// `camera_from_board` (about the common center) of one view under `lens`, by a linear method;
+    /// `None` where there is none.
     pub(crate) fn pose(&self, view: usize, lens: &Lens) -> Option<Pose> {
         let (prepared, observation) = (&self.views[view], &self.observations[view]);
         let straight = lens.distortion.as_rational() == Some([0.0; 8]);
@@ -237,8 +238,8 @@ impl PreparedView {
     }
 }
 
-/// Names the fault of views that no homography explains as well as the other views: which
-/// relabeling would.
+/// Replaces the fault of views that no homography fits as well as the other views by the relabeling
+/// that would.
 fn name_mislabeled(observations: &[BoardObservation], views: &mut [PreparedView]) {
     let good = views.iter().filter(|view| view.fault.is_none());
     let Some(typical_px) =
@@ -272,13 +273,13 @@ fn plane_pairs(shape: &Shape, observation: &BoardObservation) -> Vec<(Point2<f64
     }
 }
 
-/// How pixels lie about their mean.
+/// The scatter of pixels about their mean.
 #[derive(Clone, Copy)]
 struct PixelScatter {
     /// Their rms distance from it.
     rms_px: f64,
     /// The root of the determinant of their scatter matrix over its trace: 0 on a line, ½ where
-    /// they reach as far in every direction.
+    /// they extend equally in every direction.
     roundness: f64,
 }
 
@@ -301,8 +302,8 @@ impl PixelScatter {
     }
 }
 
-/// A first lens of `model` and the poses of the usable views, about the common center; a view
-/// without a pose gets the fault that says so. `None` where not one view has a pose.
+/// A first lens of `model` and the poses of the usable views, about the common center. A view
+/// without a pose gets that fault. `None` where no view has a pose.
 pub(crate) fn start(prepared: &mut Prepared, model: LensModel) -> Option<State> {
     let usable = prepared.usable();
     let homographies: Vec<_> = usable
@@ -334,7 +335,7 @@ pub(crate) fn start(prepared: &mut Prepared, model: LensModel) -> Option<State> 
     place_views(prepared, lens, &[])
 }
 
-/// The state of an earlier estimate, with poses for the views that it has none of.
+/// The state of an earlier estimate, with poses for the views that it lacks.
 pub(crate) fn resume(prepared: &mut Prepared, earlier: &CameraStart) -> Option<State> {
     let center = Point3::from(prepared.center_in_board);
     let known: Vec<_> = earlier
@@ -349,7 +350,7 @@ pub(crate) fn resume(prepared: &mut Prepared, earlier: &CameraStart) -> Option<S
     place_views(prepared, earlier.lens, &known)
 }
 
-/// `lens` with the pose of each usable view, known or found.
+/// `lens` with the pose of each usable view, known or estimated.
 fn place_views(
     prepared: &mut Prepared,
     lens: Lens,
@@ -372,12 +373,12 @@ fn place_views(
     })
 }
 
-/// Square pixels, the principal point in the middle.
+/// Square pixels, with the principal point in the image's center.
 fn centered(size: ImageSize, focal_px: f64) -> CameraMatrix {
     CameraMatrix { fx: focal_px, fy: focal_px, cx: size.center().x, cy: size.center().y, skew: 0.0 }
 }
 
-/// The lens of `model` that a search begins with.
+/// The lens of `model` from which a search starts.
 pub(crate) fn undistorted(model: LensModel, matrix: CameraMatrix) -> Lens {
     Lens { matrix, distortion: Distortion::start(model) }
 }
@@ -394,8 +395,8 @@ fn is_plausible(matrix: &CameraMatrix, size: ImageSize) -> bool {
         && PLAUSIBLE_FOCAL.contains(&focal)
 }
 
-/// The focal length of square pixels about the image's middle: each homography gives one from
-/// Zhang's two equations, and the median is not moved by a few wrong ones.
+/// The focal length of square pixels, with the principal point in the image's center. Each
+/// homography gives one from Zhang's two equations; the median is insensitive to a few wrong ones.
 fn median_focal(homographies: &[Homography], size: ImageSize) -> Option<f64> {
     let center = size.center();
     let squares = homographies.iter().filter_map(|homography| {
@@ -414,14 +415,14 @@ fn median_focal(homographies: &[Homography], size: ImageSize) -> Option<f64> {
     Some(median(squares.collect())?.sqrt())
 }
 
-/// At most `count` of `indices`, evenly.
+/// At most `count` of `indices`, evenly spaced.
 fn sample(indices: &[usize], count: usize) -> Vec<usize> {
     let step = indices.len().div_ceil(count).max(1);
     indices.iter().step_by(step).copied().collect()
 }
 
-/// The median over `views` of each one's rms at its linear pose; a view without a pose counts as
-/// infinitely far off.
+/// The median over `views` of each one's rms error at its linear pose; infinite for a view without
+/// a pose.
 fn misfit_px(prepared: &Prepared, views: &[usize], lens: &Lens) -> f64 {
     let of_view = |view: &usize| {
         let observation = &prepared.observations[*view];

@@ -1,9 +1,9 @@
-//! Fits of several lens models to the same views, each started again from where others ended.
+//! Fits of several lens models to the same views, each started again from the results of others.
 //!
-//! Beside the shape of an uneven board the cost has more than one minimum. A plain fit of a large
-//! model to a board that is taken as flat ends far from the lens, and the board's shape is then
-//! searched for from there: on photographs of a board bent by 2.5 mm the rational model ended with
-//! five times the residual variance of brown, which it holds.
+//! With the shape of an uneven board in the model, the cost has more than one minimum. A plain fit
+//! of a large model to a board that is assumed flat ends far from the true lens, and the search for
+//! the board's shape then starts from there. On photographs of a board bent by 2.5 mm the rational
+//! model ended with five times the residual variance of brown, which it contains.
 
 use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::effects::apply::{with_effects_from, with_same_effects};
@@ -15,8 +15,8 @@ use crate::estimation::robust::Loss;
 use crate::estimation::robust_fit::RobustFit;
 use crate::geometry::pixel::ImageSize;
 
-/// Starts each of the fits `with` effects again from the one that fits most closely, and from those
-/// of models that it holds, where these fit more closely than it does; `plain` are the fits without
+/// Starts each of the fits `with` effects again from the closest fit, and from those of models that
+/// it contains, where their residuals are smaller than its own. `plain` are the fits without
 /// effects, of the same models.
 pub(crate) fn start_from_each_other(
     plain: &[CameraFit],
@@ -40,10 +40,10 @@ pub(crate) fn start_from_each_other(
     }
 }
 
-/// The one of some fits of the same views that fits most closely, by index: that of the least
-/// squares, truncated for all of them at the smallest limit of an inlier that one of them has (the
-/// cost MSAC of P. H. S. Torr, A. Zisserman, *MLESAC*, 2000). By the scale of its inliers alone a
-/// lens that is too simple seems to fit most closely once it has given up the views that show it.
+/// The index of the closest among fits of the same views: that with the least sum of squares,
+/// truncated for all of them at the smallest inlier limit among them (the MSAC cost of P. H. S.
+/// Torr, A. Zisserman, *MLESAC*, 2000). By the scale of its own inliers alone, a lens that is too
+/// simple would appear closest once it has rejected the views that show its misfit.
 pub(crate) fn closest_of(fits: &[CameraFit]) -> usize {
     let limit = fits.iter().map(|fit| fit.robust.limit).fold(f64::INFINITY, f64::min);
     let cost = |fit| squares_of_views(fit, limit * limit).into_iter().sum();
@@ -51,8 +51,8 @@ pub(crate) fn closest_of(fits: &[CameraFit]) -> usize {
     (0..fits.len()).min_by(|a, b| costs[*a].total_cmp(&costs[*b])).unwrap_or_default()
 }
 
-/// Of each view, the sum of the squared residuals of all corners, each `most` at most; those that
-/// the fit does not use count as outliers.
+/// Per view, the sum of the squared residuals of all corners, each truncated at `most`; corners
+/// that the fit does not use count as outliers.
 pub(crate) fn squares_of_views(fit: &CameraFit, most: f64) -> Vec<f64> {
     let views = fit.observations.iter().zip(&fit.robust.minimum.equations.residuals);
     let of_view = |(observation, residuals): (&BoardObservation, &Vec<[f64; 2]>)| -> f64 {
@@ -64,19 +64,19 @@ pub(crate) fn squares_of_views(fit: &CameraFit, most: f64) -> Vec<f64> {
     views.map(of_view).collect()
 }
 
-/// The observations of a fit, with the corners that another one of the same views uses.
+/// The observations of a fit, with the inliers of another fit of the same views.
 pub(crate) fn with_corners_of(fit: &CameraFit, other: &CameraFit) -> Vec<BoardObservation> {
     let pairs = fit.observations.iter().zip(&other.observations);
     pairs.map(|(own, other)| BoardObservation { used: other.used.clone(), ..own.clone() }).collect()
 }
 
-/// The variance that the residuals show, in units of the corners' own.
+/// The variance of the residuals, as a factor on the corners' own variances.
 fn residual_variance(fit: &CameraFit) -> f64 {
     fit.effects.as_ref().map_or_else(|| fit.noise_square(), |effects| effects.noise_square)
 }
 
-/// A fit of the same model that begins where that of another one ended; `None` where it does not
-/// fit more closely to as many views.
+/// A fit of the same model, started from the result of another; `None` where it does not fit more
+/// closely to as many views.
 fn started_from(
     fit: &CameraFit,
     from: (&CameraFit, &CameraFit),
@@ -90,7 +90,8 @@ fn started_from(
     is_better.then_some(again)
 }
 
-/// The plain fit of the model of `fit` where that of another one, `plain` and with effects, ended.
+/// The plain fit of the model of `fit` at the result of another model, given `plain` and `with`
+/// effects.
 fn start_at(
     fit: &CameraFit,
     (plain, with): (&CameraFit, &CameraFit),
@@ -105,10 +106,10 @@ fn start_at(
     Some(CameraFit::new(fit.layout.clone(), robust, observations, with.faults.clone()))
 }
 
-/// Fits of all models with the same effects as the one that fits most closely: to the same corners,
-/// the board's shape and the motion being each one's own. Each view's motion is fitted to the view
-/// itself, so that a fit in which motion counts for more would have the smaller error on views that
-/// are held out. Those `with` effects of their own where there is no such fit.
+/// Fits of all models with the same effects as the closest fit: on the same corners, but each with
+/// its own shape of the board and its own motion. Without common effects, a fit with more motion
+/// would have smaller held-out errors, because each view's motion is fitted to the view itself.
+/// Where there is no such fit, the one `with` its own effects.
 pub(crate) fn with_common_effects(
     plain: &[CameraFit],
     with: &[CameraFit],

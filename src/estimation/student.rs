@@ -1,28 +1,29 @@
-//! Student's distribution beside the normal one: how much more often a mean strays whose standard
-//! deviation comes from few values.
+//! Student's distribution in terms of the normal one: a mean whose standard deviation is estimated
+//! from few values exceeds a given number of standard deviations more often.
 //!
 //! D. L. Wallace, *Bounds on normal approximations to Student's and the chi-square distributions*,
 //! 1959: within 0.04 of normal deviations from three degrees of freedom on.
 
-/// How many standard deviations of a normal distribution are as rare as a mean that is `t` of its
-/// own from 0, estimated with `freedom` degrees of freedom.
+/// The number of standard deviations of a normal distribution with the same tail probability as a
+/// mean that is `t` of its own standard deviations from 0, estimated with `freedom` degrees of
+/// freedom.
 pub(crate) fn normal_deviations(t: f64, freedom: f64) -> f64 {
     let freedom = freedom.max(1.0);
     let size = (freedom * (t * t / freedom).ln_1p()).sqrt();
     size.copysign(t) / stretch(freedom)
 }
 
-/// The other way round: how many of its own standard deviations, estimated with `freedom` degrees
-/// of freedom, are as rare as `deviations` of a normal distribution.
+/// The inverse: the number of estimated standard deviations, with `freedom` degrees of freedom,
+/// that has the same tail probability as `deviations` of a normal distribution.
 pub(crate) fn student_deviations(deviations: f64, freedom: f64) -> f64 {
     let freedom = freedom.max(1.0);
     let size = stretch(freedom) * deviations;
     (freedom * (size * size / freedom).exp_m1()).sqrt().copysign(deviations)
 }
 
-/// How many standard deviations of a normal distribution are as rare as a `ratio` of two variances
-/// that are estimated with `freedoms` degrees of freedom (E. Paulson, *An approximate normalization
-/// of the analysis of variance distribution*, 1942).
+/// The number of standard deviations of a normal distribution with the same tail probability as a
+/// `ratio` of two variances that are estimated with `freedoms` degrees of freedom (E. Paulson, *An
+/// approximate normalization of the analysis of variance distribution*, 1942).
 pub(crate) fn normal_deviations_of_ratio(ratio: f64, freedoms: [f64; 2]) -> f64 {
     let [above, below] = freedoms.map(|freedom| 2.0 / (9.0 * freedom.max(1.0)));
     let root = ratio.max(0.0).cbrt();

@@ -1,8 +1,8 @@
-//! How far a projection can be trusted, where in the image: after the camera motion that
-//! compensates best, since what a rotation of the camera explains is no error of its lens (mrcal's
-//! projection uncertainty and difference). Pixels that are known many times worse than most, as a
-//! corner of the image that no view reached, have little to say in that motion: what is unknown
-//! there would else be carried all over the image.
+//! The uncertainty of projections over the image, after the camera motion that compensates best: a
+//! difference that a rotation of the camera explains is no error of its lens (mrcal's projection
+//! uncertainty and difference). Pixels that are known far worse than most, as in an image corner
+//! that no view reached, get little weight in that motion. Otherwise their uncertainty would spread
+//! over the whole image.
 
 use nalgebra::{DMatrix, Matrix2, Matrix2x6, Matrix6, Point3, SMatrix, Vector6};
 
@@ -10,7 +10,7 @@ use crate::geometry::lens::{Lens, MAX_PARAMETERS, Projection};
 use crate::geometry::median::median_of;
 use crate::geometry::pixel::{Bearing, ImageSize, Pixel};
 
-/// How far away the things are that are seen.
+/// The distance of the observed scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Distance {
     /// So far that only a rotation of the camera compensates.
@@ -54,13 +54,13 @@ impl PixelGrid {
 /// The predicted 1-σ uncertainty of projections over an image, in pixels.
 #[derive(Debug, Clone, PartialEq)]
 pub struct UncertaintyMap {
-    /// Where.
+    /// The pixels.
     pub grid: PixelGrid,
     /// Standard deviation in the worst direction at each pixel of the grid, row by row; `None`
     /// where the lens sees nothing.
     pub std_px: Vec<Option<f64>>,
-    /// Mean squared length of the error (both axes) at each pixel of the grid, in px²: what a
-    /// difference is compared with.
+    /// Mean squared length of the error (both axes) at each pixel of the grid, in px²: the
+    /// expectation for a squared difference.
     pub square_px2: Vec<Option<f64>>,
     /// The covariance of the error at each pixel of the grid, in px².
     pub covariance_px2: Vec<Option<Matrix2<f64>>>,
@@ -70,7 +70,7 @@ pub struct UncertaintyMap {
 }
 
 impl UncertaintyMap {
-    /// The uncertainty at the image's middle (at the nearest pixel of the grid that the lens sees).
+    /// The uncertainty at the image's center (at the nearest pixel of the grid that the lens sees).
     pub fn center(&self) -> Option<f64> {
         let middle = self.grid.size.center();
         let seen =
@@ -86,7 +86,7 @@ impl UncertaintyMap {
         seen().sum::<f64>() / seen().count().max(1) as f64
     }
 
-    /// Median and worst over the image; `None` where the lens sees nothing of it.
+    /// Median and maximum over the image; `None` where the lens sees nothing of it.
     pub fn median_and_worst(&self) -> Option<MedianAndWorst> {
         let mut seen: Vec<f64> = self.std_px.iter().flatten().copied().collect();
         seen.sort_by(f64::total_cmp);
@@ -99,19 +99,19 @@ impl UncertaintyMap {
 pub struct MedianAndWorst {
     /// Its upper median, in pixels.
     pub median_px: f64,
-    /// Its greatest, in pixels.
+    /// Its maximum, in pixels.
     pub worst_px: f64,
 }
 
 impl MedianAndWorst {
-    /// Of a lens of which nothing is known.
+    /// For an unknown lens.
     pub const UNKNOWN: Self = Self { median_px: f64::INFINITY, worst_px: f64::INFINITY };
 }
 
-/// Pixels known this many times worse than the median of the image are known far worse than most.
+/// Pixels whose standard deviation exceeds the image's median by this factor get less weight.
 const FAR_WORSE: f64 = 4.0;
 
-/// The weights settle in a few rounds; most images need none.
+/// The largest number of rounds. The weights converge in a few; most images need none.
 const MAX_ROUNDS: usize = 8;
 
 /// The derivative of one projection by the lens's parameters and by the compensating motion.
@@ -155,8 +155,8 @@ fn invert_motion(normal: &Matrix6<f64>, distance: Distance) -> Option<Matrix6<f6
     }
 }
 
-/// The derivatives of projections over a grid of pixels: what the uncertainty of one lens takes
-/// from any covariance of its parameters.
+/// The derivatives of projections over a grid of pixels, from which the uncertainty of a lens
+/// follows for any covariance of its parameters.
 #[derive(Debug, Clone)]
 pub struct ProjectionSamples {
     grid: PixelGrid,
@@ -165,7 +165,7 @@ pub struct ProjectionSamples {
 }
 
 impl ProjectionSamples {
-    /// Those of `lens` at the pixels of `grid`, for things at `distance`.
+    /// For `lens` at the pixels of `grid`, and a scene at `distance`.
     pub fn of(lens: &Lens, grid: PixelGrid, distance: Distance) -> Self {
         let sample = |pixel| Sample::of(lens, lens.bearing_from_pixel(pixel)?, distance);
         Self { grid, distance, samples: grid.pixels().map(sample).collect() }
@@ -195,8 +195,8 @@ impl ProjectionSamples {
         Some(map_of(*grid, covariances, weights))
     }
 
-    /// The same samples after the motion that compensates with the weights of `map`: to compare
-    /// many covariances that are not far from that map's. `None` where the motion is not
+    /// The same samples with the compensating motion fixed to the weights of `map`, to compare many
+    /// covariances that differ little from that of the map. `None` where the motion is not
     /// determined.
     pub fn compensated_as(&self, map: &UncertaintyMap) -> Option<CompensatedSamples> {
         let compensation = compensation(&self.samples, &map.weights, self.distance)?;
@@ -209,20 +209,20 @@ impl ProjectionSamples {
     }
 }
 
-/// [`ProjectionSamples`] with a compensating motion that is held: an uncertainty takes a tenth of
-/// the time.
+/// [`ProjectionSamples`] with a fixed compensating motion: an uncertainty takes a tenth of the
+/// time.
 #[derive(Debug, Clone)]
 pub struct CompensatedSamples {
     grid: PixelGrid,
     weights: Vec<f64>,
-    /// The derivative of each projection by the parameters, the compensating motion in it.
+    /// The derivative of each projection by the parameters, including the compensating motion.
     rests: Vec<Option<SMatrix<f64, 2, MAX_PARAMETERS>>>,
 }
 
 impl CompensatedSamples {
-    /// The 1-σ uncertainty of the projections for this covariance of the lens's parameters: that of
-    /// [`ProjectionSamples::uncertainty`] for the covariance that the motion was chosen for and its
-    /// multiples, and near it for others.
+    /// The 1-σ uncertainty of the projections for this covariance of the lens's parameters. It
+    /// equals that of [`ProjectionSamples::uncertainty`] for the covariance for which the motion
+    /// was chosen and its multiples, and is close to it for others.
     pub fn uncertainty(&self, covariance: &DMatrix<f64>) -> UncertaintyMap {
         let covariance = padded(covariance);
         let of_pixel =
@@ -232,7 +232,7 @@ impl CompensatedSamples {
     }
 }
 
-/// A covariance as one of the most parameters that a lens has; zero rows for those it has not.
+/// A covariance padded with zeros to the largest number of parameters of a lens.
 fn padded(covariance: &DMatrix<f64>) -> SMatrix<f64, MAX_PARAMETERS, MAX_PARAMETERS> {
     let mut padded = SMatrix::<f64, MAX_PARAMETERS, MAX_PARAMETERS>::zeros();
     let count = covariance.nrows().min(MAX_PARAMETERS);
@@ -240,8 +240,8 @@ fn padded(covariance: &DMatrix<f64>) -> SMatrix<f64, MAX_PARAMETERS, MAX_PARAMET
     padded
 }
 
-/// The greatest variance in any direction of the plane, from those along its axes and their
-/// covariance: the greater eigenvalue.
+/// The largest variance in any direction of the plane, from the variances along its axes and their
+/// covariance: the larger eigenvalue.
 pub(crate) fn greatest_variance([x, y]: [f64; 2], covariance: f64) -> f64 {
     0.5 * (x + y) + (0.5 * (x - y)).hypot(covariance)
 }
@@ -276,7 +276,7 @@ pub fn projection_uncertainty(
     ProjectionSamples::of(lens, grid, distance).uncertainty(covariance)
 }
 
-/// The covariance of each sample's projection after the compensating motion that suits `weights`.
+/// The covariance of each sample's projection after the compensating motion for `weights`.
 fn projection_covariances(
     samples: &[Option<Sample>],
     weights: &[f64],
@@ -291,7 +291,7 @@ fn projection_covariances(
     Some(samples.iter().map(|sample| sample.as_ref().map(of_sample)).collect())
 }
 
-/// The compensating motion that suits `weights`, by the lens's parameters.
+/// The derivative of the compensating motion for `weights` by the lens's parameters.
 fn compensation(
     samples: &[Option<Sample>],
     weights: &[f64],
@@ -308,8 +308,8 @@ fn compensation(
     Some(invert_motion(&normal, distance)? * coupling)
 }
 
-/// 1 for pixels that are known at most [`FAR_WORSE`] times worse than the median, then falling with
-/// the variance.
+/// 1 for pixels whose standard deviation is at most [`FAR_WORSE`] times the median; above that,
+/// inverse to the variance.
 fn weights_of(covariances: &[Option<Matrix2<f64>>]) -> Vec<f64> {
     let mut variances: Vec<f64> = covariances.iter().flatten().map(Matrix2::trace).collect();
     let Some(median) = median_of(&mut variances) else { return vec![0.0; covariances.len()] };
@@ -319,10 +319,10 @@ fn weights_of(covariances: &[Option<Matrix2<f64>>]) -> Vec<f64> {
     covariances.iter().map(|pixel| pixel.as_ref().map_or(0.0, weight)).collect()
 }
 
-/// Where `second` projects what `first` sees at each pixel of the grid, minus that pixel, after the
-/// best compensating rotation, in pixels; `None` where either sees nothing. Against a prediction it
-/// is to be held with that one's `weights` ([`UncertaintyMap::weights`]); without any (an empty
-/// slice) all pixels have the same to say in the rotation.
+/// The projection by `second` of each grid pixel's ray under `first`, minus that pixel, after the
+/// best compensating rotation, in pixels; `None` where either lens sees nothing. For a comparison
+/// with a prediction, pass the `weights` of that prediction ([`UncertaintyMap::weights`]); with an
+/// empty slice all pixels have equal weight in the rotation.
 pub fn projection_difference(
     first: &Lens,
     second: &Lens,

@@ -8,18 +8,19 @@ use crate::geometry::pixel::Pixel;
 /// Why a view is not used in an estimate.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum ViewFault {
-    /// A pose has six unknowns, and a check needs more.
+    /// Too few points: a pose has six unknowns, and a check needs more.
     #[error("only {points} points; at least {needed} are needed")]
     TooFewPoints {
-        /// How many it has.
+        /// Number of points.
         points: usize,
-        /// How many it takes.
+        /// Number of points needed.
         needed: usize,
     },
-    /// Sent twice: it says nothing new, and counted as new it would narrow every uncertainty.
+    /// A duplicate: it carries no new information, and counting it would understate every
+    /// uncertainty.
     #[error("a copy of view {number} of these: it counts once")]
     Copied {
-        /// That view's place among all, from 1.
+        /// The number of the original view, from 1.
         number: usize,
     },
     /// The board's points are on one line or in one place.
@@ -31,10 +32,10 @@ pub enum ViewFault {
     /// Seen from behind, which a printed board cannot be.
     #[error("mirrored: it fits only as the board's back side")]
     Mirrored,
-    /// Labeled one place off, the corners that fall off the end at the other.
+    /// Labeled one place off; the labels wrap around at the board's edge.
     #[error("its labels are shifted by one {0}")]
     Shifted(GridLine),
-    /// Rotated by half a turn against what the rig's other sensors see.
+    /// Rotated by half a turn relative to the rig's other sensors.
     #[error(
         "rotated by half a turn: its first corner is not the one that the other sensors call first"
     )]
@@ -42,30 +43,30 @@ pub enum ViewFault {
     /// Labeled along the columns.
     #[error("its labels are transposed: the corners were listed along the columns")]
     Transposed,
-    /// No pose explains it.
+    /// No pose fits it.
     #[error(
         "no pose explains its corners (rms {rms_px:.1} px): they are mislabeled, or it is another board"
     )]
     NoPose {
-        /// Its residuals at the best pose.
+        /// Rms of its residuals at the best pose.
         rms_px: f64,
     },
-    /// Most corners are far off.
+    /// Too many corners are outliers.
     #[error("{outliers} of its {points} corners are further off than {limit_px:.2} px")]
     Outliers {
-        /// How many are.
+        /// Number of outliers.
         outliers: usize,
-        /// Of how many.
+        /// Number of corners.
         points: usize,
-        /// The distance up to which a corner is believed.
+        /// The largest residual of an inlier.
         limit_px: f64,
     },
-    /// It fits best with a motion that the other views rule out.
+    /// It fits best with a motion that is incompatible with the other views.
     #[error(
         "by its corners the board moved {times:.1} times as far as the other views let expect while it was read, and they do not fit then either: mirrored, or of another camera"
     )]
     OddMotion {
-        /// In root mean squares of what the other views show.
+        /// Relative to the root mean square that the other views show.
         times: f64,
     },
 }
@@ -88,7 +89,7 @@ impl std::fmt::Display for GridLine {
     }
 }
 
-/// The corner grid that a full view's points form.
+/// The grid formed by the corners of a complete view.
 struct LabelGrid {
     cols: usize,
     rows: usize,
@@ -122,7 +123,7 @@ impl LabelGrid {
         })
     }
 
-    /// For each point the one that it was, had the labels been moved by `moved`.
+    /// For each point, the index of the point at the grid position to which `moved` maps it.
     fn permuted(&self, moved: impl Fn(usize, usize) -> (usize, usize)) -> Vec<usize> {
         let at = |&(col, row): &(usize, usize)| {
             let (col, row) = moved(col, row);
@@ -141,8 +142,8 @@ fn lines(values: impl Iterator<Item = f64>) -> Vec<f64> {
     sorted
 }
 
-/// What is wrong with the labels of a flat view that no pose explains: the relabeling under which
-/// a homography fits to within `limit_px`, if one does.
+/// The fault in the labels of a flat view that no pose fits: the relabeling under which a
+/// homography fits to within `limit_px`, if there is one.
 pub(crate) fn mislabeling(
     points_on_plane: &[Point3<f64>],
     pixels: &[Pixel],

@@ -1,10 +1,10 @@
-//! How a board moved while the rows of one image were read.
+//! A board's motion during the read-out of one image.
 
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 use crate::geometry::pose::Pose;
 
-/// How a board moved in the camera's frame from the image's first row to its last, at constant
+/// A board's motion in the camera's frame from the image's first row to its last, at constant
 /// velocity. A view's pose is that at the middle row.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ViewMotion {
@@ -17,7 +17,7 @@ pub struct ViewMotion {
 }
 
 impl ViewMotion {
-    /// The board's pose when a corner was read, from that at the middle row and from
+    /// The board's pose when a corner was read, given its pose at the middle row and the
     /// [`read_out_time`].
     ///
     /// ```
@@ -43,8 +43,9 @@ impl ViewMotion {
     }
 }
 
-/// When a pixel was read, in read-outs of an image from its middle, by its coordinate along the way
-/// that lines are read and the image's length that way, both in pixels.
+/// When a pixel was read, relative to the middle of the read-out and in units of its duration.
+/// `along_px` is the pixel's coordinate in the direction of the read-out, `length_px` the image's
+/// length in this direction.
 pub fn read_out_time(along_px: f64, length_px: f64) -> f64 {
     (along_px + 0.5) / length_px - 0.5
 }

@@ -12,7 +12,7 @@ use crate::geometry::homography::Homography;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
 
-/// Whether the closed form may find pixels that are not rectangular.
+/// Whether the closed form may find skewed pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Skew {
     /// Skew is 0, as for every ordinary sensor: B12 is left out of V b = 0.
@@ -21,8 +21,8 @@ pub enum Skew {
     Free,
 }
 
-/// The ratio of the second smallest to the largest eigenvalue of VᵀV below which the views do not
-/// determine K: exactly parallel views leave rounding only.
+/// The least ratio of the second smallest to the largest eigenvalue of VᵀV. Below it the views do
+/// not determine K: for exactly parallel views it is rounding.
 const RANK_TOLERANCE: f64 = 1e-13;
 
 /// K from three or more homographies `pixel_from_board` (Zhang 2000, section 3.1 and appendix B).
@@ -36,8 +36,8 @@ pub fn camera_matrix(
     image_size: ImageSize,
     skew: Skew,
 ) -> Result<CameraMatrix, EstimationError> {
-    // In pixels B's entries differ by the fourth power of the image's size; in half diagonals they
-    // are alike.
+    // In pixels the magnitudes of B's entries differ by up to the fourth power of the image's size;
+    // in half diagonals they are similar.
     let (center, unit) = (image_size.center(), image_size.diagonal_px() / 2.0);
     let to_units = Matrix3::new(
         1.0 / unit,
@@ -52,7 +52,8 @@ pub fn camera_matrix(
     );
     let balanced = |homography: &Homography| {
         let h = to_units * homography.matrix();
-        // The board's own scale must not weigh views: columns h1, h2 in units of their mean length.
+        // The board's scale must not weight the views: columns h1, h2 in units of their mean
+        // length.
         h / (h.column(0).norm_squared() + h.column(1).norm_squared()).sqrt()
     };
     let in_units = closed_form(homographies.iter().map(balanced), skew)?;
@@ -65,9 +66,9 @@ pub fn camera_matrix(
     })
 }
 
-/// As [`camera_matrix`], with V b = 0 in pixels and homographies of unit norm: the form in which
-/// textbooks state it. Exact homographies give the same K; noisy ones another, which leans on the
-/// views and unknowns that happen to be large.
+/// As [`camera_matrix`], with V b = 0 in pixels and homographies of unit norm, as in textbooks.
+/// Exact homographies give the same K. Noisy ones give another, in which views and unknowns of
+/// large magnitude have more weight.
 ///
 /// # Errors
 /// As [`camera_matrix`].
@@ -81,7 +82,7 @@ pub fn camera_matrix_in_pixels(
     )
 }
 
-/// K in the units of the homographies, from their V b = 0 as they are scaled.
+/// K in the units of the homographies, from V b = 0 with the homographies as scaled.
 fn closed_form(
     homographies: impl ExactSizeIterator<Item = Matrix3<f64>>,
     skew: Skew,
