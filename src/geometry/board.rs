@@ -1,12 +1,13 @@
-//! The chessboard: how many inner corners, how large a square, where each corner lies in the board
-//! frame.
+//! The chessboard: its number of inner corners, the size of its squares, and the corners' positions
+//! in the board frame.
 
 use nalgebra::{Point3, Vector3};
 
 use crate::geometry::physical::{SQUARE_M, Unphysical};
 use crate::geometry::pose::Pose;
 
-/// How many inner corners a chessboard has: `cols` along a row, `rows` rows. Each is at least 3.
+/// The number of inner corners of a chessboard: `cols` along a row, `rows` rows. Each is at least
+/// 3.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct BoardSize {
     /// Inner corners along a row.
@@ -15,7 +16,7 @@ pub struct BoardSize {
     pub rows: u32,
 }
 
-/// A board that cannot be calibrated with.
+/// A board that cannot be used for calibration.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum BoardError {
     /// Not of the form `9x6`.
@@ -55,13 +56,13 @@ impl BoardSize {
         }
     }
 
-    /// How many inner corners there are.
+    /// Number of inner corners.
     pub fn corner_count(self) -> usize {
         self.cols as usize * self.rows as usize
     }
 
-    /// Whether a half turn of the board leaves its pattern as it was, so that no image determines
-    /// which corner is first: `cols` + `rows` is even.
+    /// Whether the pattern maps to itself under a half turn, so that no image determines which
+    /// corner is first: `cols` + `rows` is even.
     pub fn orientation_ambiguous(self) -> bool {
         (self.cols + self.rows).is_multiple_of(2)
     }
@@ -105,16 +106,16 @@ impl Chessboard {
         Ok(Self { size, square_m })
     }
 
-    /// Where the corner (`col`, `row`) lies in the board frame, in meters. Indices outside the
-    /// board are allowed: the outer border of the squares is at −1 and `cols`.
+    /// The corner (`col`, `row`) in the board frame, in meters. Indices outside the board are
+    /// allowed: the outer border of the squares is at −1 and `cols`.
     pub fn corner_in_board(&self, col: i32, row: i32) -> Point3<f64> {
         Point3::new(f64::from(col) * self.square_m, f64::from(row) * self.square_m, 0.0)
     }
 
-    /// The motions that take its lattice of corners to itself where no image determines the first
-    /// corner, as `board_from_board`: the identity first, then the half turn, and the quarter turns
-    /// of a square board. After quarter turns of an odd number of corners a side, dark squares are
-    /// where light ones were.
+    /// The motions that map the board's lattice of corners to itself where no image determines the
+    /// first corner, as `board_from_board`: the identity first, then the half turn, and the
+    /// quarter turns of a square board. With an odd number of corners a side, quarter turns
+    /// exchange dark and light squares.
     pub fn symmetries(&self) -> Vec<Pose> {
         if !self.size.orientation_ambiguous() {
             return vec![Pose::identity()];

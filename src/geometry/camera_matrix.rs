@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Vector2};
 
 use crate::geometry::pixel::Pixel;
 
-/// The five numbers of K = [[fx, skew, cx], [0, fy, cy], [0, 0, 1]], all in pixels.
+/// The five parameters of K = [[fx, skew, cx], [0, fy, cy], [0, 0, 1]], all in pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CameraMatrix {
     /// Focal length in pixels along x.
@@ -15,13 +15,13 @@ pub struct CameraMatrix {
     pub cx: f64,
     /// Principal point, y.
     pub cy: f64,
-    /// How much x moves with normalized y: 0 for every ordinary sensor.
+    /// The change of x with normalized y: 0 for every ordinary sensor.
     pub skew: f64,
 }
 
-/// The least skew that is one, in pixels. Less is the rounding of a linear solve, and moves no
-/// pixel within 45° of the axis by more than itself: less than a thousandth of what the best
-/// corners are known to.
+/// The least skew that counts, in pixels. Less is the rounding of a linear solve. Within 45° of the
+/// axis it moves no pixel by more than itself, less than a thousandth of the uncertainty of the
+/// best corners.
 const LEAST_SKEW_PX: f64 = 1e-6;
 
 impl CameraMatrix {

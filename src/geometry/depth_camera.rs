@@ -1,5 +1,4 @@
-//! A depth camera: what a reading at a pixel says about the distance there, and the point it stands
-//! for.
+//! A depth camera: the distance that a reading at a pixel stands for, and the point.
 
 use nalgebra::Point3;
 
@@ -8,8 +7,8 @@ use crate::geometry::lens::Lens;
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
 
-/// What the numbers of a depth image mean, as the device gives them. Depth is along the optical
-/// axis (z), not along the ray.
+/// The meaning of the numbers in a depth image, as the device gives them. Depth is along the
+/// optical axis (z), not along the ray.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum DepthReading {
     /// z = unit · reading.
@@ -28,7 +27,7 @@ pub enum DepthReading {
 }
 
 impl DepthReading {
-    /// 1/z, in 1/m; `None` for what no surface in front of the camera gives.
+    /// 1/z, in 1/m; `None` for a reading that no surface in front of the camera has.
     pub fn inverse_depth(self, reading: f64) -> Option<f64> {
         let inverse = match self {
             Self::Metric { unit_m } => 1.0 / (unit_m * reading),
@@ -45,8 +44,7 @@ impl DepthReading {
         }
     }
 
-    /// By how much 1/z changes per unit of the reading, in 1/m, as an absolute value: what
-    /// quantisation costs.
+    /// The absolute change of 1/z per unit of the reading, in 1/m: the quantization step.
     pub fn inverse_depth_step(self, inverse_depth: f64) -> f64 {
         match self {
             Self::Metric { unit_m } => unit_m * inverse_depth * inverse_depth,
@@ -55,7 +53,7 @@ impl DepthReading {
     }
 }
 
-/// A depth camera's lens, and where the camera is beside color.
+/// A depth camera's lens and its pose relative to color.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PosedDepthLens {
     /// The lens, for images of the depth camera's own size.
@@ -71,14 +69,14 @@ pub struct DepthCamera {
     pub image_size: ImageSize,
     /// The lens.
     pub lens: Lens,
-    /// What its numbers mean.
+    /// The meaning of its readings.
     pub reading: DepthReading,
-    /// The correction of what they mean; `None` where the factory's is as good.
+    /// The correction of its readings; `None` where the factory calibration is as good.
     pub correction: Option<DepthCorrection>,
 }
 
 impl DepthCamera {
-    /// The corrected 1/z of a reading at `pixel`, in 1/m; `None` for what no surface gives.
+    /// The corrected 1/z of a reading at `pixel`, in 1/m; `None` for a reading that no surface has.
     pub fn inverse_depth(&self, pixel: Pixel, reading: f64) -> Option<f64> {
         let inverse = self.reading.inverse_depth(reading)?;
         match &self.correction {
@@ -87,8 +85,8 @@ impl DepthCamera {
         }
     }
 
-    /// The point that a reading at `pixel` stands for, in the depth camera's frame, in meters;
-    /// `None` for what no surface gives and where the lens sees nothing.
+    /// The point of a reading at `pixel`, in the depth camera's frame, in meters; `None` for a
+    /// reading that no surface has, or where the lens has no ray for the pixel.
     pub fn point_from_reading(&self, pixel: Pixel, reading: f64) -> Option<Point3<f64>> {
         let z = 1.0 / self.inverse_depth(pixel, reading)?;
         let bearing = self.lens.bearing_from_pixel(pixel)?;
@@ -96,17 +94,17 @@ impl DepthCamera {
     }
 }
 
-/// Readings of one small patch of a flat surface, taken together.
+/// Readings of one small patch of a flat surface, combined.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DepthTile {
-    /// The middle of its readings.
+    /// The center of its readings.
     pub pixel: Pixel,
-    /// The uncorrected 1/z there, in 1/m: a plane's is linear over an image without distortion, so
-    /// that this is a mean.
+    /// The uncorrected 1/z there, in 1/m. It is the mean of the readings, since 1/z of a plane is
+    /// linear over an image without distortion.
     pub inverse_depth: f64,
     /// Standard deviation of a single reading's 1/z about the patch's own plane, in 1/m.
     pub reading_std: f64,
-    /// How many readings.
+    /// Number of readings.
     pub count: u32,
 }
 

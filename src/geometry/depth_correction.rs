@@ -8,12 +8,12 @@
 //! structured light, time of flight:   z' =   z + Σ_k g_k(u, v) ·     z^k
 //! ```
 //!
-//! Two terms of the first are a(u,v)/z + b(u,v). The polynomial is held at its value at the ends of
-//! the range of depths it was fitted over.
+//! With two terms the first is a(u,v)/z + b(u,v). Outside the range of depths it was fitted over,
+//! the polynomial keeps its value at the nearer end of the range.
 
 use crate::geometry::pixel::{ImageSize, Pixel};
 
-/// What the polynomial is in.
+/// The quantity in which the polynomial is given.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CorrectedQuantity {
     /// 1/z, in 1/m: the errors of a stereo camera are constant in it.
@@ -32,11 +32,11 @@ impl CorrectedQuantity {
     }
 }
 
-/// A grid of equal cells over an image, with the nodes of cubic B-splines on it. Without cells it
-/// is one constant.
+/// A grid of equal cells over an image, with the nodes of cubic B-splines. Without cells it is a
+/// single constant.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SplineGrid {
-    /// The image.
+    /// The size of the image.
     pub size: ImageSize,
     /// Cells along x; 0 with `rows` 0 for a constant.
     pub cols: u32,
@@ -44,19 +44,19 @@ pub struct SplineGrid {
     pub rows: u32,
 }
 
-/// The nodes that matter at a pixel, with their weights, which add up to 1.
+/// The nodes that affect a pixel, with their weights, which add up to 1.
 #[derive(Debug, Clone, Copy)]
 pub struct NodeWeights {
     /// Indices of nodes.
     pub nodes: [usize; 16],
     /// Their weights.
     pub weights: [f64; 16],
-    /// How many there are: 16, or 1 for a constant.
+    /// Number of nodes: 16, or 1 for a constant.
     pub len: usize,
 }
 
 impl NodeWeights {
-    /// The nodes that matter, each with its weight.
+    /// The nodes that affect the pixel, each with its weight.
     pub fn used(&self) -> impl Iterator<Item = (usize, f64)> + '_ {
         self.nodes.iter().copied().zip(self.weights.iter().copied()).take(self.len)
     }
@@ -74,13 +74,13 @@ impl SplineGrid {
         [along(self.cols), along(self.rows)]
     }
 
-    /// How many nodes there are; node (i, j) is number j · nodes along x + i.
+    /// Number of nodes; node (i, j) has the index j · nodes along x + i.
     pub fn node_count(self) -> usize {
         let [across, down] = self.nodes();
         across * down
     }
 
-    /// The nodes that matter at `pixel` (outside the image: at its nearest edge).
+    /// The nodes that affect `pixel` (outside the image: its nearest edge).
     pub fn weights(self, pixel: Pixel) -> NodeWeights {
         let mut result = NodeWeights { nodes: [0; 16], weights: [0.0; 16], len: 1 };
         if self.cols == 0 || self.rows == 0 {
@@ -101,7 +101,7 @@ impl SplineGrid {
     }
 }
 
-/// The cell of a coordinate, and the uniform cubic B-spline's four values there.
+/// The cell that contains a coordinate, and the four values of the uniform cubic B-spline there.
 fn cell(coordinate: f64, length: u32, cells: u32) -> (usize, [f64; 4]) {
     let along = (coordinate + 0.5) / f64::from(length) * f64::from(cells);
     let along = if along.is_finite() { along.clamp(0.0, f64::from(cells)) } else { 0.0 };
@@ -116,20 +116,20 @@ fn cell(coordinate: f64, length: u32, cells: u32) -> (usize, [f64; 4]) {
 /// A correction of depth over an image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DepthCorrection {
-    /// What the polynomial is in.
+    /// The quantity in which the polynomial is given.
     pub quantity: CorrectedQuantity,
-    /// How many terms: powers 0 to terms − 1.
+    /// Number of terms: powers 0 to terms − 1.
     pub terms: usize,
-    /// Where its coefficients lie.
+    /// The grid of its coefficients.
     pub grid: SplineGrid,
-    /// Power by power, the nodes of the grid.
+    /// For each power, one coefficient per node of the grid.
     pub coefficients: Vec<f64>,
     /// The nearest and the farthest depth it was fitted over, in meters.
     pub seen_m: [f64; 2],
 }
 
 impl DepthCorrection {
-    /// One that changes nothing yet.
+    /// A correction with all coefficients 0.
     pub fn none(
         quantity: CorrectedQuantity,
         terms: usize,
@@ -139,7 +139,7 @@ impl DepthCorrection {
         Self { quantity, terms, grid, coefficients: vec![0.0; terms * grid.node_count()], seen_m }
     }
 
-    /// The corrected 1/z, in 1/m; `None` where nothing in front of the camera is left.
+    /// The corrected 1/z, in 1/m; `None` where it is not in front of the camera.
     pub fn correct(&self, pixel: Pixel, inverse_depth: f64) -> Option<f64> {
         let corrected = self.at(pixel).correct(inverse_depth);
         (corrected.is_finite() && corrected > 0.0).then_some(corrected)
@@ -155,7 +155,7 @@ impl DepthCorrection {
         self.at_nodes(&self.grid.weights(pixel))
     }
 
-    /// The polynomial at the pixel that has these weights in the correction's grid.
+    /// The polynomial at the pixel with these weights in the correction's grid.
     pub fn at_nodes(&self, weights: &NodeWeights) -> PixelCorrection {
         let count = self.grid.node_count();
         let mut at = PixelCorrection {
@@ -173,11 +173,12 @@ impl DepthCorrection {
     }
 }
 
-/// No correction has more terms.
+/// The largest number of terms of a correction.
 pub const MAX_TERMS: usize = 4;
 
-/// The nearest 1/z to `inverse_depth` among the depths `seen_m` [nearest, farthest], where a
-/// correction holds; `inverse_depth` itself where none were seen (nearest beyond farthest).
+/// The value nearest to `inverse_depth` in the range of depths `seen_m` [nearest, farthest], for
+/// which a correction is valid; `inverse_depth` itself where that range is empty (nearest beyond
+/// farthest).
 pub(crate) fn held_inverse_depth(inverse_depth: f64, seen_m: [f64; 2]) -> f64 {
     let [near, far] = seen_m.map(|depth| 1.0 / depth);
     if far <= near { inverse_depth.clamp(far, near) } else { inverse_depth }
@@ -186,11 +187,11 @@ pub(crate) fn held_inverse_depth(inverse_depth: f64, seen_m: [f64; 2]) -> f64 {
 /// The correction of one pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PixelCorrection {
-    /// What the polynomial is in.
+    /// The quantity in which the polynomial is given.
     pub quantity: CorrectedQuantity,
     /// Its coefficients, by power.
     pub terms: [f64; MAX_TERMS],
-    /// The depths it holds for, in meters.
+    /// The range of depths for which it is valid, in meters.
     pub seen_m: [f64; 2],
 }
 
@@ -207,8 +208,8 @@ impl PixelCorrection {
 }
 
 impl PixelCorrection {
-    /// ∂(corrected 1/z)/∂(1/z): what the correction does to small differences, and so to noise; 1
-    /// for that of nothing.
+    /// ∂(corrected 1/z)/∂(1/z), the factor on small differences and thus on noise; 1 without a
+    /// correction.
     pub fn gain(&self, inverse_depth: f64) -> f64 {
         let [near, far] = self.seen_m;
         let held = !(inverse_depth * near <= 1.0 && inverse_depth * far >= 1.0);

@@ -1,6 +1,6 @@
-//! The markers of coded boards: which pattern of black and white cells has which number.
+//! The markers of coded boards: the pattern of black and white cells for each number.
 //!
-//! The tables are `dictionaries.txt` beside this file, which says where they come from.
+//! The tables are in `dictionaries.txt` beside this file, which states their origin.
 
 use std::sync::OnceLock;
 
@@ -19,7 +19,7 @@ struct MarkerTable {
     codes: Vec<u64>,
 }
 
-/// OpenCV's name, the table that starts with its markers, and how many it has (0: all).
+/// OpenCV's name, the table that starts with its markers, and the number of them (0: all).
 const NAMES: [(&str, &str, usize); 22] = [
     ("DICT_4X4_50", "DICT_4X4_1000", 50),
     ("DICT_4X4_100", "DICT_4X4_1000", 100),
@@ -45,7 +45,7 @@ const NAMES: [(&str, &str, usize); 22] = [
     ("DICT_ARUCO_MIP_36h12", "DICT_ARUCO_MIP_36h12", 0),
 ];
 
-/// The names by which AprilTag's own library calls its families.
+/// The family names of AprilTag's own library.
 const FAMILIES: [(&str, &str); 4] = [
     ("tag16h5", "DICT_APRILTAG_16h5"),
     ("tag25h9", "DICT_APRILTAG_25h9"),
@@ -53,13 +53,13 @@ const FAMILIES: [(&str, &str); 4] = [
     ("tag36h11", "DICT_APRILTAG_36h11"),
 ];
 
-/// A name that is none of the dictionaries'.
+/// A name that no dictionary has.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "there is no dictionary `{name}`: give one of OpenCV's, as in DICT_4X4_50, or a family of AprilTags, as in tag36h11"
 )]
 pub struct UnknownDictionary {
-    /// What was asked for.
+    /// The requested name.
     pub name: String,
 }
 
@@ -88,22 +88,22 @@ impl Dictionary {
         self.name
     }
 
-    /// AprilTag's name of the family, of a dictionary of its tags.
+    /// AprilTag's name of the family, for a dictionary of its tags.
     pub fn family(&self) -> Option<&'static str> {
         FAMILIES.iter().find(|family| family.1 == self.name).map(|family| family.0)
     }
 
-    /// Cells along a marker's side, the border not counted.
+    /// Cells along a marker's side, without the border.
     pub fn bits(&self) -> usize {
         self.table.bits
     }
 
-    /// How many markers there are, numbered from 0.
+    /// Number of markers, numbered from 0.
     pub fn count(&self) -> usize {
         self.count
     }
 
-    /// Whether `other` has all its markers, by the same numbers.
+    /// Whether `other` contains all its markers, with the same numbers.
     pub fn is_part_of(&self, other: &Self) -> bool {
         self.table.name == other.table.name && self.count <= other.count
     }
@@ -116,8 +116,8 @@ impl Dictionary {
         (row < bits && col < bits).then(|| code >> (bits * bits - 1 - (row * bits + col)) & 1 == 1)
     }
 
-    /// The same of the marker as it appears rotated by so many `quarters` from +x to +y, its cells
-    /// counted from the upper left one again.
+    /// The same for the marker as it appears rotated by this number of `quarters` from +x to +y,
+    /// with cells counted from the upper left one again.
     pub fn is_white_rotated(
         &self,
         id: usize,
@@ -146,7 +146,7 @@ fn tables() -> &'static [MarkerTable] {
     })
 }
 
-/// A line of the file; the tests see that all are well formed.
+/// A line of the file; the tests check that all are well formed.
 fn table(line: &'static str) -> Option<MarkerTable> {
     let mut words = line.split(' ');
     let (name, bits, count) = (words.next()?, words.next()?, words.next()?);

@@ -1,10 +1,10 @@
-//! The map between two planes: what a lens without distortion makes of a flat board.
+//! The homography between two planes: the image of a flat board through a lens without distortion.
 
 use nalgebra::{Matrix3, Point2, SMatrix, SVector, Vector2, Vector3};
 
 /// A 3×3 homography `target_from_source` in homogeneous coordinates, scaled to unit Frobenius norm.
-/// Points of the source are mapped where their third coordinate is positive: a fit has the sign
-/// that makes it so for the points that were fitted to.
+/// Points of the source are mapped only where their third coordinate is positive; a fit chooses the
+/// sign such that it is for the fitted points.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Homography {
     matrix: Matrix3<f64>,
@@ -13,13 +13,13 @@ pub struct Homography {
 /// Why no homography could be fitted.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum HomographyError {
-    /// A homography has eight degrees of freedom.
+    /// Too few points: a homography has eight degrees of freedom.
     #[error("{points} point pairs are too few for a homography: give at least 4")]
     TooFewPoints {
         /// How many were given.
         points: usize,
     },
-    /// NaN or infinite.
+    /// A coordinate is NaN or infinite.
     #[error("point pair {index} has a coordinate that is not a finite number")]
     NotFinite {
         /// Which pair, counted from 0.
@@ -39,7 +39,7 @@ impl Homography {
         usable.then_some(Self { matrix: scaled })
     }
 
-    /// The matrix that takes the unit square (0,0), (1,0), (1,1), (0,1) to four points, scaled so
+    /// The matrix that maps the unit square (0,0), (1,0), (1,1), (0,1) to four points, scaled so
     /// that its last entry is 1 (P. Heckbert, *Fundamentals of Texture Mapping and Image Warping*,
     /// 1989, section 2.2.3); `None` if three of them lie on a line.
     pub fn of_unit_square(points: [Vector2<f64>; 4]) -> Option<Matrix3<f64>> {
@@ -59,7 +59,7 @@ impl Homography {
         &self.matrix
     }
 
-    /// Where `point` is mapped; `None` for a point that goes to infinity or beyond.
+    /// The image of `point`; `None` for a point that is mapped to infinity or beyond.
     pub fn apply(&self, point: Point2<f64>) -> Option<Point2<f64>> {
         let mapped = self.matrix * Vector3::new(point.x, point.y, 1.0);
         (mapped.z > 0.0).then(|| Point2::new(mapped.x / mapped.z, mapped.y / mapped.z))
@@ -105,7 +105,8 @@ impl Homography {
     }
 
     /// [`Self::fit`], then Gauss–Newton on the distance in the target plane (Hartley and Zisserman,
-    /// section 4.2.3): the most likely homography where targets carry equal, independent noise.
+    /// section 4.2.3): the maximum-likelihood homography for equal, independent noise of the
+    /// targets.
     ///
     /// # Errors
     /// As [`Self::fit`].
@@ -173,7 +174,7 @@ impl Homography {
             normal += row_x * row_x.transpose() + row_y * row_y.transpose();
             gradient += row_x * (x - target.x) + row_y * (y - target.y);
         }
-        // The scale of the matrix is free: hold it by its own direction.
+        // The scale of the matrix is free: this term fixes it.
         let h = SVector::<f64, 9>::from_row_slice(self.matrix.transpose().as_slice());
         let stiffness = normal.trace();
         let step = (normal + h * h.transpose() * stiffness).cholesky()?.solve(&gradient);
@@ -251,7 +252,7 @@ fn dlt_normal_matrix(
 }
 
 /// The eigenvector of the smallest eigenvalue of a positive semidefinite matrix, by inverse
-/// iteration; `None` where the smallest eigenvalue is not alone.
+/// iteration; `None` where that eigenvalue is not simple.
 pub(crate) fn smallest_eigenvector(matrix: &SMatrix<f64, 9, 9>) -> Option<SVector<f64, 9>> {
     let ridge = matrix.trace() * 1e-13;
     let factor = (matrix + SMatrix::<f64, 9, 9>::identity() * ridge).cholesky()?;
@@ -270,8 +271,7 @@ pub(crate) fn smallest_eigenvector(matrix: &SMatrix<f64, 9, 9>) -> Option<SVecto
             return Some(vector);
         }
     }
-    // Two eigenvalues nearly as small as each other: the points do not determine the answer, or
-    // hardly.
+    // With two nearly equal smallest eigenvalues, the points hardly determine the solution.
     let rest = factor.solve(&vector);
     let change = (rest / rest.norm() - vector).norm();
     (change < 1e-6).then_some(vector)

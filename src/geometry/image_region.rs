@@ -11,7 +11,7 @@ pub struct ImageRegion {
     pub left: u32,
     /// The first row.
     pub top: u32,
-    /// How large it is.
+    /// Its size.
     pub size: ImageSize,
 }
 
@@ -36,7 +36,7 @@ impl std::str::FromStr for ImageRegion {
     }
 }
 
-/// A region or size that a lens cannot be taken to.
+/// A region or size for which a lens cannot be computed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum RegionError {
     /// No pixels.
@@ -54,21 +54,21 @@ pub enum RegionError {
         /// The image's size.
         image: ImageSize,
     },
-    /// Width and height are scaled differently, which only a crop or a stretch can explain.
+    /// Width and height are scaled differently, which requires a crop or a stretch.
     #[error(
         "{from} scaled to {to} would stretch the image: say which region of {from} it shows, or give the same shape"
     )]
     Stretched {
-        /// The size calibrated at.
+        /// The size of the calibrated images.
         from: ImageSize,
-        /// The size asked for.
+        /// The requested size.
         to: ImageSize,
     },
 }
 
-/// The lens of images of `to` pixels that show `region` of the images of `from` that `lens` holds
-/// for. A pixel's *area* is scaled, so centers map as x' = (x + ½ − left) · scale − ½; distortion
-/// is in normalized coordinates and stays.
+/// The lens of images of `to` pixels that show `region` of the images of `from`, for which `lens`
+/// is valid. A pixel's *area* is scaled, so centers map as x' = (x + ½ − left) · scale − ½;
+/// distortion is in normalized coordinates and does not change.
 ///
 /// # Errors
 /// An empty size, a region outside the image, or a change of shape by more than one pixel.

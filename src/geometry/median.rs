@@ -1,9 +1,9 @@
-//! The median of numbers and of poses: what is hardly moved by less than half of wrong ones.
+//! The median of numbers and of poses, on which a minority of outliers has little effect.
 
 use crate::geometry::pose::Pose;
 
-/// The median size of normally distributed numbers about 0, in their standard deviations: the
-/// standard normal quantile of 3/4.
+/// The median absolute value of normally distributed numbers of mean 0, in their standard
+/// deviations: the standard normal quantile of 3/4.
 pub const NORMAL_MEDIAN: f64 = 0.6745;
 
 /// The standard deviation of normally distributed numbers over the median of their absolute
@@ -15,14 +15,13 @@ pub fn median(mut values: Vec<f64>) -> Option<f64> {
     median_of(&mut values)
 }
 
-/// The same of numbers that may be put into another order.
+/// The same, for numbers that may be reordered.
 pub fn median_of(values: &mut [f64]) -> Option<f64> {
     let middle = values.len() / 2;
     (middle < values.len()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// Of these poses the one with the least median distance to all (radians plus meters); `None` of
-/// none.
+/// The pose with the least median distance to all of these (radians plus meters); `None` of none.
 pub fn median_pose(a_from_b: &[Pose]) -> Option<Pose> {
     let median_distance = |a_from_candidate: &Pose| {
         let distance = |other: &Pose| {

@@ -1,4 +1,4 @@
-//! Points, poses, lenses: where things are and where they are seen. Pure; uses no other layer.
+//! Points, poses, lenses: positions in space and in images. Pure; uses no other layer.
 //!
 //! # Conventions (all of Plumb)
 //!

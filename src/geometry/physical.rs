@@ -1,7 +1,8 @@
-//! What lengths, focal lengths and errors can be: one range for each, and a message that states it.
+//! The physical range of lengths, focal lengths and errors: one range for each, and a message that
+//! states it.
 //!
-//! A number outside its range is a slip (millimeters for meters, a missing decimal point) or
-//! damage. The limits are an order of magnitude beyond what exists, so that nothing real is
+//! A number outside its range is a mistake (millimeters for meters, a missing decimal point) or
+//! damage. The limits are an order of magnitude beyond what exists, so that no real value is
 //! refused.
 
 use std::ops::RangeInclusive;
@@ -9,7 +10,7 @@ use std::ops::RangeInclusive;
 /// The physical range of a quantity.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PhysicalRange {
-    /// What it is of, as in `a focal length`.
+    /// The name of the quantity, as in `a focal length`.
     pub quantity: &'static str,
     /// Its unit.
     pub unit: &'static str,
@@ -17,19 +18,19 @@ pub struct PhysicalRange {
     pub range: RangeInclusive<f64>,
 }
 
-/// A value that cannot be.
+/// A value outside the physical range.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{} {unit} is not {quantity}: it is {} to {} {unit}", short(*value), short(*least), short(*most))]
 pub struct Unphysical {
     /// The value given.
     pub value: f64,
-    /// What it should be.
+    /// The quantity that it was given for.
     pub quantity: &'static str,
     /// Its unit.
     pub unit: &'static str,
-    /// The smallest value there is.
+    /// The smallest possible value.
     pub least: f64,
-    /// The largest value there is.
+    /// The largest possible value.
     pub most: f64,
 }
 
@@ -41,7 +42,7 @@ pub const SQUARE_M: PhysicalRange =
 pub const FOCAL_LENGTH_PX: PhysicalRange =
     PhysicalRange { quantity: "a focal length", unit: "px", range: 0.1..=1e7 };
 
-/// A region far off the axis of a large lens may not hold its principal point.
+/// A crop far off the axis of a large lens may not contain its principal point.
 pub const PRINCIPAL_POINT_PX: PhysicalRange =
     PhysicalRange { quantity: "a principal point", unit: "px", range: -1e7..=1e7 };
 
@@ -54,10 +55,10 @@ pub const TRANSLATION_M: PhysicalRange =
     PhysicalRange { quantity: "a translation", unit: "m", range: -1e5..=1e5 };
 
 impl PhysicalRange {
-    /// `value`, if it can be.
+    /// `value`, if it is within the range.
     ///
     /// # Errors
-    /// [`Unphysical`] outside the range, and for what is no number.
+    /// [`Unphysical`] outside the range, and for NaN.
     pub fn check(&self, value: f64) -> Result<f64, Unphysical> {
         if self.range.contains(&value) {
             return Ok(value);
@@ -67,7 +68,7 @@ impl PhysicalRange {
     }
 }
 
-/// A number without the hundreds of zeros that it may have.
+/// A number without the hundreds of zeros that it may have in plain notation.
 fn short(value: f64) -> String {
     let magnitude = value.abs();
     let plain = magnitude == 0.0 || (1e-5..1e8).contains(&magnitude);

@@ -1,5 +1,5 @@
-//! Where light lands ([`Pixel`]) and where it came from ([`Bearing`]): two types, because a pixel
-//! that is used as a direction is the commonest silent error of camera code.
+//! Positions in an image ([`Pixel`]) and directions in space ([`Bearing`]): two types, because a
+//! pixel used as a direction is the most common silent error of camera code.
 
 use nalgebra::{Point2, Unit, Vector2, Vector3};
 

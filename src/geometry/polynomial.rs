@@ -1,6 +1,6 @@
-//! Real polynomials: where a lens model stops being invertible is the first root of a derivative.
+//! Real polynomials: a lens model stops being invertible at the first root of a derivative.
 
-/// More steps than halving takes from the widest bracket to the last bit.
+/// More steps than bisection needs from the widest bracket to the last bit.
 const MAX_STEPS: usize = 200;
 
 /// The value at `x` of the polynomial with `coefficients`, constant term first.
@@ -8,9 +8,9 @@ pub fn evaluate(coefficients: &[f64], x: f64) -> f64 {
     coefficients.iter().rev().fold(0.0, |sum, c| sum * x + c)
 }
 
-/// The smallest root in (0, `end`] of the polynomial with `coefficients` (constant term first),
-/// between the roots of its derivative, found the same way. `None` when there is none, or a
-/// coefficient is not finite.
+/// The smallest root in (0, `end`] of the polynomial with `coefficients` (constant term first).
+/// Roots are separated by those of the derivative, which are found recursively. `None` when there
+/// is none, or a coefficient is not finite.
 pub fn first_root(coefficients: &[f64], end: f64) -> Option<f64> {
     roots(coefficients, end).first().copied()
 }
@@ -37,9 +37,9 @@ fn roots(coefficients: &[f64], end: f64) -> Vec<f64> {
     found
 }
 
-/// Newton's method, held between two places where the sign differs: where it would leave them, or
-/// its steps do not halve, the way between them is halved, in the logarithm where their ratio
-/// is large.
+/// Newton's method within a bracket with a change of sign. Where a step would leave the bracket, or
+/// the steps do not halve, the bracket is bisected instead: in the logarithm where the ratio of its
+/// ends is large.
 fn root_between(coefficients: &[f64], mut low: f64, mut high: f64) -> f64 {
     let sign = evaluate(coefficients, low).signum();
     let middle = |low: f64, high: f64| match low {

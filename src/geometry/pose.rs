@@ -1,5 +1,4 @@
-//! Rigid transforms, named for what they map: `a_from_b` takes coordinates in b to coordinates in
-//! a.
+//! Rigid transforms, named for what they map: `a_from_b` maps coordinates in b to coordinates in a.
 
 use nalgebra::{
     Isometry3, Matrix3, Matrix6, Point3, Quaternion, Rotation3, Translation3, UnitQuaternion,
@@ -55,7 +54,7 @@ impl Pose {
         self.isometry.rotation.to_rotation_matrix().into_inner()
     }
 
-    /// The translation, in meters: where b's origin is, in a.
+    /// The translation, in meters: the position of b's origin in a.
     pub fn translation(&self) -> Vector3<f64> {
         self.isometry.translation.vector
     }
@@ -66,8 +65,8 @@ impl Pose {
         Self::new(inverse.rotation, inverse.translation.vector)
     }
 
-    /// How the inverse moves with this pose: its derivative by a rotation ω about a's axes and a
-    /// translation τ, (−Rᵀω, −Rᵀτ + t' × Rᵀω) with t' the inverse's translation.
+    /// The derivative of the inverse by a rotation ω about a's axes and a translation τ: (−Rᵀω,
+    /// −Rᵀτ + t' × Rᵀω), with t' the inverse's translation.
     pub(crate) fn inverse_jacobian(&self) -> Matrix6<f64> {
         let b_from_a = self.inverse();
         let rotation = b_from_a.rotation_matrix();
@@ -107,7 +106,7 @@ impl std::ops::Mul<Vector3<f64>> for Pose {
     }
 }
 
-/// The six numbers of a small change of a pose: its rotation vector in radians, then its
+/// The six components of a small change of a pose: its rotation vector in radians, then its
 /// translation in meters.
 pub(crate) fn pose_step(rotation: &Vector3<f64>, translation: &Vector3<f64>) -> Vector6<f64> {
     Vector6::from_fn(|row, _| if row < 3 { rotation[row] } else { translation[row - 3] })

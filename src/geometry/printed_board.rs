@@ -1,5 +1,5 @@
-//! What a target prints: rectangles of black and white on a sheet, in meters, and where on it each
-//! corner lies.
+//! The print of a target: rectangles of black and white on a sheet, in meters, and the position of
+//! each corner on it.
 //!
 //! Sheet frame: origin at the print's upper left corner, x right, y down.
 
@@ -30,17 +30,17 @@ pub struct PrintedBoard {
     pub width_m: f64,
     /// Its height.
     pub height_m: f64,
-    /// What is printed, in this order: later ones lie over earlier ones.
+    /// The printed rectangles, in order: later ones cover earlier ones.
     pub rects: Vec<PrintedRect>,
-    /// Where the board frame's origin lies.
+    /// The origin of the board frame on the sheet.
     origin: Point2<f64>,
-    /// Whether the board frame's y runs up the sheet.
+    /// Whether the board frame's y axis points up the sheet.
     upward: bool,
 }
 
 impl PrintedBoard {
-    /// The print of `target`: a ChArUco board in the new layout and an AprilGrid with Kalibr's
-    /// border of 2 cells, unless the target has another.
+    /// The print of `target`. Unless the target states otherwise, a ChArUco board has the new
+    /// layout and an AprilGrid has Kalibr's border of 2 cells.
     pub fn of(target: &Target) -> Self {
         match target {
             Target::Chessboard(board) => {
@@ -55,7 +55,7 @@ impl PrintedBoard {
         }
     }
 
-    /// Where the corner `id` of `target`, whose print this is, lies on the sheet.
+    /// The position on the sheet of the corner `id` of `target`, of which this is the print.
     pub fn corner(&self, target: &Target, id: u32) -> Option<Point2<f64>> {
         let corner = target.corner_in_board(id)?;
         let up = if self.upward { -1.0 } else { 1.0 };
@@ -172,11 +172,11 @@ struct PrintedMarker<'a> {
     /// Its upper left corner, in meters.
     x: f64,
     y: f64,
-    /// Its side in meters, the border counted.
+    /// Its side in meters, including the border.
     side: f64,
     dictionary: &'a Dictionary,
     id: usize,
-    /// How wide its black border is, in bits.
+    /// The width of its black border, in bits.
     border: usize,
     upside_down: bool,
 }

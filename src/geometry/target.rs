@@ -1,5 +1,4 @@
-//! What is put in front of a camera: a chessboard, or a board whose markers say which corner is
-//! which.
+//! Calibration targets: a chessboard, or a board whose markers identify its corners.
 
 use nalgebra::Point3;
 
@@ -34,12 +33,12 @@ pub struct CharucoBoard {
     pub square_m: f64,
     /// The side of a marker with its black border, in meters.
     pub marker_m: f64,
-    /// Where its markers are from.
+    /// The dictionary of its markers.
     pub dictionary: Dictionary,
-    /// The first marker.
+    /// The number of the first marker.
     pub first_id: u32,
-    /// Whether the layout is that of OpenCV before 4.6, in which a board of an even number of rows
-    /// starts with a white square; `None` if that is to be found.
+    /// Whether the layout is that of OpenCV before 4.6, in which a board with an even number of
+    /// rows starts with a white square; `None` if it is to be detected.
     pub legacy: Option<bool>,
 }
 
@@ -60,17 +59,17 @@ pub struct AprilGrid {
     pub spacing: f64,
     /// The tags' family.
     pub family: Dictionary,
-    /// Cells of black around a tag's payload: 2 as Kalibr prints it, 1 as AprilTag's own library
-    /// has it; `None` if that is to be found.
+    /// Cells of black around a tag's payload: 2 as in Kalibr's print, 1 as in AprilTag's own
+    /// library; `None` if it is to be detected.
     pub border_bits: Option<u32>,
-    /// The first tag.
+    /// The number of the first tag.
     pub first_id: u32,
 }
 
 /// A target that cannot be used.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum TargetError {
-    /// The chessboard cannot be.
+    /// The chessboard is not valid.
     #[error(transparent)]
     Chessboard(#[from] BoardError),
     /// Not one of the dictionaries.
@@ -106,7 +105,7 @@ pub enum TargetError {
         /// The square's side.
         square_m: f64,
     },
-    /// The markers are specks in their squares.
+    /// The markers are too small in their squares.
     #[error(
         "a marker of {marker_m} m is less than a fifth of its square of {square_m} m: give both sides in meters, the marker's with its black border, as they measure on the board"
     )]
@@ -116,7 +115,7 @@ pub enum TargetError {
         /// The square's side.
         square_m: f64,
     },
-    /// A gap that no such grid has.
+    /// A gap outside the range of such grids.
     #[error(
         "a spacing of {spacing} cannot be used: give the gap between two tags over a tag's side, 0.05 to 1"
     )]
@@ -138,7 +137,7 @@ pub enum TargetError {
         /// How many it has.
         count: usize,
     },
-    /// A border that is not printed.
+    /// A border that is not supported.
     #[error(
         "a border of {bits} cells cannot be used: give 1 or 2, or leave it out to have it found"
     )]
@@ -162,10 +161,10 @@ fn check_ids(dictionary: &Dictionary, first: u32, count: u64) -> Result<(), Targ
 }
 
 impl CharucoBoard {
-    /// Whether such a board can be.
+    /// Checks that such a board is possible.
     ///
     /// # Errors
-    /// [`TargetError`] says what is wrong with it.
+    /// [`TargetError`] states what is wrong with it.
     pub fn check(&self) -> Result<(), TargetError> {
         let Self { cols, rows, square_m, marker_m, .. } = *self;
         if !(3..=50).contains(&cols) || !(3..=50).contains(&rows) {
@@ -193,17 +192,17 @@ impl CharucoBoard {
             .collect()
     }
 
-    /// How many inner corners it has.
+    /// Number of inner corners.
     pub fn corner_count(&self) -> usize {
         (self.cols as usize - 1) * (self.rows as usize - 1)
     }
 }
 
 impl AprilGrid {
-    /// Whether such a grid can be.
+    /// Checks that such a grid is possible.
     ///
     /// # Errors
-    /// [`TargetError`] says what is wrong with it.
+    /// [`TargetError`] states what is wrong with it.
     pub fn check(&self) -> Result<(), TargetError> {
         let Self { cols, rows, tag_m, spacing, .. } = *self;
         if !(1..=50).contains(&cols) || !(1..=50).contains(&rows) || cols * rows < 2 {
@@ -230,7 +229,7 @@ impl Target {
         }
     }
 
-    /// Corners along each of the two ways.
+    /// Number of corners along each of the two axes.
     pub fn corners_each_way(&self) -> [u32; 2] {
         match self {
             Self::Chessboard(board) => [board.size.cols, board.size.rows],
@@ -239,19 +238,19 @@ impl Target {
         }
     }
 
-    /// How many corners it has.
+    /// Number of corners.
     pub fn corner_count(&self) -> usize {
         self.lattice().corner_count()
     }
 
-    /// Its corners as columns and rows of the sheet as it is printed, from the upper left one.
+    /// Its corners as columns and rows of the printed sheet, from the upper left one.
     pub fn lattice(&self) -> BoardSize {
         let [cols, rows] = self.corners_each_way();
         BoardSize { cols, rows }
     }
 
-    /// Its name with the proportions that an image shows: how large markers are in their squares,
-    /// or gaps between tags.
+    /// Its name with the proportions that are visible in an image: the size of markers in their
+    /// squares, or of gaps between tags.
     pub fn with_proportions(&self) -> String {
         match self {
             Self::Chessboard(_) => self.to_string(),
@@ -262,12 +261,12 @@ impl Target {
         }
     }
 
-    /// Whether no image of it determines which corner is first. Markers determine it.
+    /// Whether no image of it determines which corner is first. Markers do determine it.
     pub fn orientation_ambiguous(&self) -> bool {
         matches!(self, Self::Chessboard(board) if board.size.orientation_ambiguous())
     }
 
-    /// The motions that take its corners to themselves where no image determines the first one, as
+    /// The motions that map its corners to themselves where no image determines the first one, as
     /// `board_from_board`, the identity first: only a plain chessboard has others.
     pub fn symmetries(&self) -> Vec<Pose> {
         match self {
@@ -276,7 +275,7 @@ impl Target {
         }
     }
 
-    /// The number of the corner in this column and row of the sheet.
+    /// The id of the corner in this column and row of the sheet.
     pub fn corner_id(&self, col: u32, row: u32) -> u32 {
         match self {
             Self::AprilGrid(grid) => {
@@ -290,8 +289,8 @@ impl Target {
         }
     }
 
-    /// Where the corner in this column and row of the sheet lies in the board frame, in meters;
-    /// `None` outside a board with markers.
+    /// The position in the board frame of the corner in this column and row of the sheet, in
+    /// meters; `None` outside a board with markers.
     pub fn corner_at(&self, col: i32, row: i32) -> Option<Point3<f64>> {
         if let Self::Chessboard(board) = self {
             return Some(board.corner_in_board(col, row));
@@ -302,8 +301,8 @@ impl Target {
         inside.then(|| self.corner_in_board(self.corner_id(col, row))).flatten()
     }
 
-    /// The chessboard whose corners span what this target's do: for what only needs a board's
-    /// extent.
+    /// A chessboard whose corners span the same area as this target's, for uses that only need a
+    /// board's extent.
     pub fn spanned_chessboard(&self) -> Chessboard {
         let size = self.lattice();
         let square_m = match self {
@@ -317,7 +316,7 @@ impl Target {
         Chessboard { size, square_m }
     }
 
-    /// The corners of least and most x and y in the board frame, in meters.
+    /// The minimum and the maximum of x and y over the corners in the board frame, in meters.
     pub fn extent(&self) -> [Point3<f64>; 2] {
         let size = self.lattice();
         let first = self.corner_at(0, 0).unwrap_or_default();
@@ -325,7 +324,8 @@ impl Target {
         [first.inf(&last), first.sup(&last)]
     }
 
-    /// Where the corner `id` lies in the board frame, in meters; `None` if there is no such corner.
+    /// The position of the corner `id` in the board frame, in meters; `None` if there is no such
+    /// corner.
     pub fn corner_in_board(&self, id: u32) -> Option<Point3<f64>> {
         let [across, _] = self.corners_each_way();
         match self {
@@ -386,7 +386,7 @@ impl std::fmt::Display for Target {
     }
 }
 
-/// A chessboard of so many inner corners with squares of this side.
+/// A chessboard with this number of inner corners and squares of this side.
 ///
 /// # Errors
 /// As [`BoardSize::new`] and [`Chessboard::new`].

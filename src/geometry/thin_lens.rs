@@ -1,8 +1,9 @@
-//! The thin lens: what is sharp at which distance, and so where to hold a board and how large it
-//! should be.
+//! The thin lens: the range of distances that is sharp, and from it the distance and the size of a
+//! board.
 //!
-//! 1/f = 1/s + 1/v; a point at distance d in front of a lens focused at s is a disc on the sensor
-//! of diameter A · f/(s − f) · |d − s|/d with the aperture A = f/N (E. Hecht, *Optics*, chapter 5).
+//! 1/f = 1/s + 1/v. The image of a point at distance d, with a lens focused at s, is a disc on the
+//! sensor of diameter A · f/(s − f) · |d − s|/d, where A = f/N is the aperture (E. Hecht, *Optics*,
+//! chapter 5).
 
 /// A lens in front of a sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -17,7 +18,7 @@ pub struct ThinLens {
     pub focus_m: f64,
 }
 
-/// A lens that cannot be.
+/// A lens that is not possible.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ThinLensError {
     /// A length or number that is not positive.
@@ -28,19 +29,19 @@ pub enum ThinLensError {
         /// What was given.
         value: f64,
     },
-    /// Nothing nearer than the focal length can be in focus.
+    /// A focus nearer than twice the focal length.
     #[error(
         "a lens of {focal_m} m focal length cannot focus at {focus_m} m: give a distance beyond twice the focal length"
     )]
     FocusTooNear {
         /// The focal length.
         focal_m: f64,
-        /// The distance asked for.
+        /// The requested distance.
         focus_m: f64,
     },
 }
 
-/// The distances between which things are sharp, in meters from the lens.
+/// The range of distances that is sharp, in meters from the lens.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DepthOfField {
     /// The nearest.
@@ -49,18 +50,18 @@ pub struct DepthOfField {
     pub far_m: f64,
 }
 
-/// A board to use, and where.
+/// The recommended board and its distance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BoardAdvice {
-    /// Where to hold it, in meters from the lens.
+    /// Its distance from the lens, in meters.
     pub distance_m: f64,
-    /// The side of one square, in meters, for the board to fill the part of the image that was
-    /// asked for.
+    /// The side of one square, in meters, with which the board fills the requested part of the
+    /// image.
     pub square_m: f64,
 }
 
 impl ThinLens {
-    /// Checks that such a lens can be.
+    /// Checks that such a lens is possible.
     ///
     /// # Errors
     /// A number that is not positive, or a focus nearer than twice the focal length.
@@ -86,15 +87,15 @@ impl ThinLens {
         Ok(self)
     }
 
-    /// The diameter of the disc that a point at `distance_m` becomes, in pixels.
+    /// The diameter of the blur disc of a point at `distance_m`, in pixels.
     pub fn blur_px(self, distance_m: f64) -> f64 {
         let aperture_m = self.focal_m / self.f_number;
-        // At distances past counting 1/d and 1/s are what matters.
+        // In terms of 1/d and 1/s, which also holds for infinite distances.
         let magnified = self.focal_m / (1.0 - self.focal_m / self.focus_m);
         aperture_m * magnified * (1.0 / self.focus_m - 1.0 / distance_m).abs() / self.pixel_m
     }
 
-    /// Between which distances a point's disc is at most `blur_px` pixels wide.
+    /// The range of distances at which a point's blur disc is at most `blur_px` pixels wide.
     pub fn depth_of_field(self, blur_px: f64) -> DepthOfField {
         let aperture_m = self.focal_m / self.f_number;
         let magnified = self.focal_m / (1.0 - self.focal_m / self.focus_m);
@@ -118,9 +119,9 @@ impl ThinLens {
     }
 
     /// A board with `squares` squares along the image's side of `side_px` pixels that fills the
-    /// part `fill` of it, held where both the nearest and the farthest corner of the tilted board
-    /// stay sharp to `blur_px`: in the middle (in 1/distance) of what is sharp, at most three times
-    /// the nearest sharp distance.
+    /// part `fill` of it. Its distance is such that both the nearest and the farthest corner of the
+    /// tilted board stay sharp to `blur_px`: in the middle (in 1/distance) of the sharp range,
+    /// which is taken to end at three times its nearest distance.
     pub fn board(self, squares: u32, side_px: u32, fill: f64, blur_px: f64) -> BoardAdvice {
         let DepthOfField { near_m, far_m } = self.depth_of_field(blur_px);
         let far_m = far_m.min(3.0 * near_m);

@@ -1,5 +1,5 @@
-//! Many points through a distortion at once: columns of numbers, so that the loop over points
-//! becomes vector code.
+//! The distortion of many points at once, in columns of numbers, so that the loop over points is
+//! vectorized.
 
 use nalgebra::Point3;
 
@@ -13,16 +13,17 @@ pub struct DistortedColumns {
     values: Vec<f64>,
 }
 
-/// Column numbers: x_d, y_d, six of (x_d, y_d) by the point, row by row, one that is 1 inside the
-/// valid region and 0 outside; then for each coefficient x_d and y_d by it.
+/// Column numbers: x_d, y_d; the six derivatives of (x_d, y_d) by the point, row by row; one that
+/// is 1 inside the valid region and 0 outside; then for each coefficient the derivatives of x_d and
+/// y_d.
 const BY_POINT: usize = 2;
 const INSIDE: usize = 8;
 const BY_COEFFICIENT: usize = 9;
 
-/// Points worked on together.
+/// Number of points that are processed together.
 const BLOCK: usize = 8;
 
-/// Copies a block, or as much of one as there is left.
+/// Copies a block, or the remaining part of one.
 #[inline(always)]
 fn copy(from: &[f64], to: &mut [f64]) {
     match (from.first_chunk::<BLOCK>(), to.first_chunk_mut::<BLOCK>()) {
@@ -40,7 +41,7 @@ impl DistortedColumns {
     ) {
         self.len = points.iter().map(|column| column.len()).min().unwrap_or(0);
         self.values.resize((BY_COEFFICIENT + 2 * N) * self.len, 0.0);
-        // Arrays of known size and place: nothing to check inside the loop.
+        // Arrays of known size, so that the loop needs no bounds checks.
         let mut block = [[1.0; BLOCK]; 3];
         let (mut fixed, mut by_coefficients) =
             ([[0.0; BLOCK]; BY_COEFFICIENT], [[[0.0; BLOCK]; 2]; N]);
@@ -79,12 +80,12 @@ impl DistortedColumns {
         [self.column(0), self.column(1)]
     }
 
-    /// x_d and y_d by coordinate `axis` of the point in the camera frame.
+    /// The derivatives of x_d and y_d by coordinate `axis` of the point in the camera frame.
     pub fn by_point(&self, axis: usize) -> [&[f64]; 2] {
         [self.column(BY_POINT + axis), self.column(BY_POINT + 3 + axis)]
     }
 
-    /// x_d and y_d by the model's coefficient `index`.
+    /// The derivatives of x_d and y_d by the model's coefficient `index`.
     pub fn by_coefficient(&self, index: usize) -> [&[f64]; 2] {
         let first = BY_COEFFICIENT + 2 * index;
         [self.column(first), self.column(first + 1)]

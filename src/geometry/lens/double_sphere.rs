@@ -11,16 +11,17 @@ use crate::geometry::pixel::Bearing;
 /// (1 − α) Z₁).
 ///
 /// V. Usenko, N. Demmel and D. Cremers, *The double sphere camera model*, 3DV 2018, eq. 40 to 52,
-/// with −1 < ξ < 1 and 0 ≤ α ≤ 1; others see nothing. Sees points beside and behind the camera.
+/// with −1 < ξ < 1 and 0 ≤ α ≤ 1; with other values the valid region is empty. Projects points
+/// beside and behind the camera too.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DoubleSphere {
     xi: f64,
     alpha: f64,
-    /// Points with Z > −this·d₁ are seen.
+    /// The valid region: points with Z > −this·d₁.
     behind: f64,
 }
 
-/// What a point is to both spheres.
+/// A point relative to both spheres.
 struct OnSpheres {
     /// d₁, d₂.
     distances: [f64; 2],
@@ -96,7 +97,7 @@ impl DistortionModel<2> for DoubleSphere {
         let OnSpheres { distances: [first, second], second_z, denominator } =
             seen.unwrap_or(OnSpheres { distances: [1.0, 1.0], second_z: 1.0, denominator: 1.0 });
         let Self { xi, alpha, .. } = *self;
-        // The denominator by Z₁, with d₂'s part of it; and by (X, Y) at fixed Z₁.
+        // Derivatives of the denominator: by Z₁, including that of d₂, and by (X, Y) at fixed Z₁.
         let by_second_z = alpha * second_z / second + 1.0 - alpha;
         let by_xy = across * (by_second_z * xi / first + alpha / second);
         let by_z = by_second_z * (xi * z / first + 1.0);
@@ -124,7 +125,7 @@ impl DistortionModel<2> for DoubleSphere {
         let z = (1.0 - alpha * alpha * radius2) / (alpha * under_root.sqrt() + 1.0 - alpha);
         let far = (z * xi + (z * z + (1.0 - xi * xi) * radius2).sqrt()) / (z * z + radius2);
         let direction = Vector3::new(far * distorted.x, far * distorted.y, far * z - xi);
-        // Of unit length already, but for rounding.
+        // Already of unit length, except for rounding.
         (direction.z > -behind).then(|| Unit::new_normalize(direction))
     }
 }

@@ -10,19 +10,19 @@ use crate::geometry::pixel::Bearing;
 /// With d = √(β (X² + Y²) + Z²): (x_d, y_d) = (X, Y)/(α d + (1 − α) Z).
 ///
 /// B. Khomutenko, G. Garcia and P. Martinet, *An enhanced unified camera model*, RA-L 2016, with 0
-/// ≤ α ≤ 1 and β > 0; others see nothing. The valid region is that of V. Usenko, N. Demmel and D.
-/// Cremers, *The double sphere camera model*, 3DV 2018, eq. 30. Sees points beside and behind the
-/// camera.
+/// ≤ α ≤ 1 and β > 0; with other values the valid region is empty. The valid region is that of V.
+/// Usenko, N. Demmel and D. Cremers, *The double sphere camera model*, 3DV 2018, eq. 30. Projects
+/// points beside and behind the camera too.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Eucm {
     alpha: f64,
     beta: f64,
-    /// Points with Z > −this·d are seen.
+    /// The valid region: points with Z > −this·d.
     behind: f64,
 }
 
 impl Eucm {
-    /// The point's distance d and the denominator, if it is seen.
+    /// The point's distance d and the denominator, for a point in the valid region.
     fn denominator(&self, point: &Point3<f64>) -> Option<(f64, f64)> {
         let distance =
             (self.beta * (point.x * point.x + point.y * point.y) + point.z * point.z).sqrt();
@@ -82,7 +82,7 @@ impl DistortionModel<2> for Eucm {
         let normalized = across / denominator;
         let by_xy = across * (self.alpha * self.beta / distance);
         let by_z = self.alpha * z / distance + 1.0 - self.alpha;
-        // By the denominator, and by (x, y) themselves.
+        // Derivatives by the denominator, and by (x, y) directly.
         let by_denominator = -normalized / denominator;
         let mut by_point = Matrix2x3::zeros();
         by_point.fixed_columns_mut::<2>(0).copy_from(&(by_denominator * by_xy.transpose()));

@@ -18,8 +18,8 @@ const TANGENT: [f64; 4] = [1.0 / 3.0, 2.0 / 15.0, 17.0 / 315.0, 62.0 / 2835.0];
 /// Y)/√(X² + Y²).
 ///
 /// J. Kannala and S. Brandt, *A generic camera model and calibration method*, PAMI 2006, eq. 3 with
-/// its leading factor taken into fx and fy. Sees points beside and behind the camera, up to where
-/// θ_d stops rising.
+/// its leading factor absorbed in fx and fy. Projects points beside and behind the camera too, up
+/// to the angle at which θ_d stops rising.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KannalaBrandt {
     k: [f64; 4],
@@ -49,7 +49,8 @@ impl DistortionModel<4> for KannalaBrandt {
     const FACTS: ModelFacts = ModelFacts {
         name: "kannala_brandt",
         summary: "OpenCV's fisheye, ROS equidistant",
-        // One coefficient less than OpenCV's five, but after them: every program knows those.
+        // It has one coefficient less than OpenCV's five but comes after them, since every program
+        // knows those.
         auto_order: Some(3),
         focal_coefficient: None,
         camera_info: Some(CameraInfoModel {
@@ -114,7 +115,7 @@ impl DistortionModel<4> for KannalaBrandt {
         let distorted = self.distorted_angle(angle);
         let direction = Vector2::new(x, y) / radius;
         let distance2 = radius * radius + z * z;
-        // dθ/d(x, y) = z/(distance²) · direction, dθ/dz = −radius/distance²; the direction rotates
+        // dθ/d(x, y) = z/(distance²) · direction, dθ/dz = −radius/distance²; the direction changes
         // by 1/radius.
         let radial = self.slope(angle) / distance2;
         let across = distorted / radius;
@@ -147,7 +148,8 @@ impl DistortionModel<4> for KannalaBrandt {
         if radius == 0.0 {
             return Some(Vector3::z_axis());
         }
-        // The distorted angle rises on the whole interval: bisection to get close, then Newton.
+        // The distorted angle is increasing on the whole interval: bisection first, then Newton's
+        // method.
         let (mut low, mut high) = (0.0, self.angle_limit);
         for _ in 0..20 {
             let middle = 0.5 * (low + high);

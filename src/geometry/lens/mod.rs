@@ -8,9 +8,9 @@
 //! point in camera --Distortion--> (x_d, y_d) --CameraMatrix--> pixel
 //! ```
 //!
-//! One model a file; a new one is a file and its line in the list below, and a line of the
-//! conformance tests. Every model knows its *valid region*: the largest connected set around the
-//! optical axis in which it is one-to-one. Outside it, projecting and unprojecting answer `None`
+//! Each model is one file. A new one is a file, its line in the list below, and a line of the
+//! conformance tests. Every model has a *valid region*: the largest connected set around the
+//! optical axis in which it is one-to-one. Outside it, projecting and unprojecting return `None`
 //! instead of a plausible wrong number.
 
 mod brown;
@@ -39,11 +39,11 @@ use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::lens::columns::DistortedColumns;
 use crate::geometry::pixel::{Bearing, Pixel};
 
-/// The most parameters a lens has: those of its camera matrix and the most coefficients of any
-/// model.
+/// The largest number of parameters of a lens: those of its camera matrix and the most coefficients
+/// of any model.
 pub const MAX_PARAMETERS: usize = Lens::FIRST_COEFFICIENT + MAX_COEFFICIENTS;
 
-/// The models. A line here and its file are all there is to a model.
+/// The models. A model consists of a line here and its file.
 macro_rules! lens_models {
     ($($(#[$doc:meta])* $model:ident,)*) => {
         /// Which distortion model: the contract's `lens.model`.
@@ -218,15 +218,16 @@ impl LensModel {
         Self::ALL.into_iter().filter(|model| model.facts().auto_order.is_some())
     }
 
-    /// Whether each lens of `smaller` is one of this model too, with some coefficients 0.
+    /// Whether this model contains `smaller`: each lens of `smaller` is one of this model with some
+    /// coefficients 0.
     pub fn holds(self, smaller: Self) -> bool {
         let polynomial = |model| Distortion::start(model).as_rational().is_some();
         let count = |model: Self| model.coefficient_names().len();
         self == smaller || polynomial(self) && polynomial(smaller) && count(smaller) < count(self)
     }
 
-    /// The model that messages about cameras call `distortion_model`: of those that share a name,
-    /// the one that has all its coefficients.
+    /// The model with this `distortion_model` in camera info messages: of those that share a name,
+    /// the one with all its coefficients.
     pub fn from_camera_info(distortion_model: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|model| {
             model.facts().camera_info.is_some_and(|info| {
@@ -265,16 +266,16 @@ pub struct Lens {
 /// A projected point with its derivatives.
 #[derive(Debug, Clone, Copy)]
 pub struct Projection {
-    /// Where the point is seen.
+    /// The projection of the point.
     pub pixel: Pixel,
-    /// Pixels by the point in the camera frame (per meter).
+    /// Derivatives of the pixel by the point in the camera frame (per meter).
     pub by_point: Matrix2x3<f64>,
-    /// Pixels by each lens parameter, in the order of [`Lens::parameters`]; columns past the lens's
-    /// own are zero.
+    /// Derivatives of the pixel by each lens parameter, in the order of [`Lens::parameters`];
+    /// columns past the lens's own are zero.
     pub by_parameters: SMatrix<f64, 2, MAX_PARAMETERS>,
 }
 
-/// Where each parameter is in [`Lens::parameters`].
+/// The index of each parameter in [`Lens::parameters`].
 impl Lens {
     /// Focal length along x.
     pub const FX: usize = 0;
@@ -324,14 +325,14 @@ impl Lens {
         Some(Self { matrix, distortion: Distortion::from_coefficients(model, coefficients)? })
     }
 
-    /// Where a point of the camera frame (meters) is seen; `None` outside the lens's valid region
-    /// (for every model but those of fisheyes that includes all points with z ≤ 0). Agrees with
-    /// OpenCV's `projectPoints` and `fisheye::projectPoints` inside it.
+    /// The projection of a point in the camera frame (meters); `None` outside the lens's valid
+    /// region, which excludes points with z ≤ 0 for every model except those of fisheyes. Inside
+    /// it, the result agrees with OpenCV's `projectPoints` and `fisheye::projectPoints`.
     pub fn pixel_from_point(&self, point_in_camera: &Point3<f64>) -> Option<Pixel> {
         Some(self.matrix.pixel_from_normalized(self.distortion.distort(point_in_camera)?))
     }
 
-    /// The direction seen at `pixel`; `None` where the lens model sees nothing.
+    /// The direction of the ray through `pixel`; `None` outside the range of the lens model.
     pub fn bearing_from_pixel(&self, pixel: Pixel) -> Option<Bearing> {
         self.distortion.undistort(self.matrix.normalized_from_pixel(pixel))
     }

@@ -1,28 +1,28 @@
-//! What a lens model is: a formula with its derivatives, and what is known of it beside.
+//! What defines a lens model: a formula with its derivatives, and facts about it.
 //!
-//! All that other layers ask of a model by name is data here ([`ModelFacts`]): what other programs
-//! call it, in which order `auto` prefers it, what its coefficients are likely to be. So a new
+//! Whatever other layers need to know of a model by name is data here ([`ModelFacts`]): its names
+//! in other programs, its rank in an automatic choice, the prior of its coefficients. So a new
 //! model is one file, and its line in the list of [`crate::geometry::lens`].
 
 use nalgebra::{Matrix2x3, Point3, SMatrix, Vector2};
 
 use crate::geometry::pixel::Bearing;
 
-/// What a lens does to a ray before the camera matrix: one model with `N` coefficients.
+/// The effect of a lens on a ray before the camera matrix: one model with `N` coefficients.
 pub trait DistortionModel<const N: usize>: Sized {
-    /// What is known of it beside its formula.
+    /// Facts about it besides its formula.
     const FACTS: ModelFacts;
 
     /// The coefficients' names, in the order of every array of coefficients.
     const NAMES: [&'static str; N];
 
-    /// What is known of each coefficient before any image.
+    /// The prior of each coefficient.
     const PRIORS: [CoefficientPrior; N];
 
     /// The coefficients of a lens without distortion, or the nearest to one.
     const STRAIGHT: [f64; N] = [0.0; N];
 
-    /// The coefficients that a search begins with.
+    /// The coefficients from which a search starts.
     const START: [f64; N] = [0.0; N];
 
     /// The model with these coefficients.
@@ -41,8 +41,8 @@ pub trait DistortionModel<const N: usize>: Sized {
         inside.then_some(distorted)
     }
 
-    /// As [`Self::distort_with_jacobians`], and whether the point is inside the valid region; if
-    /// not, the derivatives are those at some point inside, finite and without meaning.
+    /// As [`Self::distort_with_jacobians`], and whether the point is inside the valid region. If
+    /// not, the derivatives are those at some point inside: finite, but without meaning.
     fn distort_or_axis(&self, point_in_camera: &Point3<f64>) -> (Distorted<N>, bool);
 
     /// The direction that [`Self::distort`] maps to `distorted`; `None` outside the valid region.
@@ -66,19 +66,19 @@ pub struct Distorted<const N: usize> {
     pub by_coefficients: SMatrix<f64, 2, N>,
 }
 
-/// What is known of a model beside its formula.
+/// Facts about a model besides its formula.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ModelFacts {
     /// Its name in documents and on the command line: the contract's `lens.model`.
     pub name: &'static str,
-    /// What it is, in a few words, for the command line's help.
+    /// A short description, for the command line's help.
     pub summary: &'static str,
-    /// Its rank in the order in which models are preferred where the choice is left open; `None`
-    /// for one that is fitted only when it is asked for.
+    /// Its rank in the order in which models are preferred in an automatic choice; `None` for a
+    /// model that is fitted only on request.
     pub auto_order: Option<u8>,
-    /// The coefficient that scales the image's center as the focal lengths do, where it has one. In
-    /// the double sphere model ξ, α and the focal lengths f are one too many at ξ = 0 to first
-    /// order (δξ = k, δα = k (2α − 1), δf = k f change no image); elsewhere only a wide field of
+    /// The coefficient that scales the image's center as the focal lengths do, where there is one.
+    /// In the double sphere model, one of ξ, α and the focal lengths f is redundant to first order
+    /// at ξ = 0 (δξ = k, δα = k (2α − 1), δf = k f change no image); elsewhere only a wide field of
     /// view separates them.
     pub focal_coefficient: Option<&'static str>,
     /// In `camera_info` messages.
@@ -96,22 +96,22 @@ pub struct ModelFacts {
 /// A model in another program, which takes the coefficients in the same order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ForeignModel {
-    /// What it is called there.
+    /// Its name there.
     pub name: &'static str,
-    /// How many coefficients it has there; those that the model lacks are 0.
+    /// Its number of coefficients there; those that the model lacks are 0.
     pub coefficients: usize,
 }
 
-/// A model in messages about cameras.
+/// A model in camera info messages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CameraInfoModel {
     /// The `distortion_model` of ROS.
     pub ros: &'static str,
     /// That of Foxglove.
     pub foxglove: &'static str,
-    /// What some drivers write.
+    /// Names that some drivers write.
     pub also: &'static [&'static str],
-    /// How many coefficients it has there; those that the model lacks are 0.
+    /// Its number of coefficients there; those that the model lacks are 0.
     pub coefficients: usize,
 }
 
@@ -120,26 +120,26 @@ pub struct CameraInfoModel {
 pub struct OpencvModel {
     /// Whether it is that of `cv::fisheye`.
     pub fisheye: bool,
-    /// How many coefficients it has there; those that the model lacks are 0.
+    /// Its number of coefficients there; those that the model lacks are 0.
     pub coefficients: usize,
 }
 
 /// A model in Kalibr.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct KalibrModel {
-    /// Its `camera_model`, which takes the model's coefficients before the focal lengths unless it
-    /// is `pinhole`.
+    /// Its `camera_model`. Unless that is `pinhole`, the model's coefficients come before the focal
+    /// lengths in the intrinsics.
     pub camera: &'static str,
     /// Its `distortion_model`.
     pub distortion: &'static str,
-    /// How many coefficients that has; a lens whose others are not 0 is refitted.
+    /// The number of coefficients of that; a lens whose other coefficients are not 0 is refitted.
     pub coefficients: usize,
 }
 
-/// A coefficient before any image: independent and Gaussian.
+/// The prior of a coefficient: independent and Gaussian.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CoefficientPrior {
-    /// Its most likely value.
+    /// Its mean.
     pub mean: f64,
     /// Its standard deviation.
     pub std: f64,
@@ -151,21 +151,21 @@ impl CoefficientPrior {
     /// A tangential coefficient of a camera with a mounted lens.
     pub const TANGENTIAL: Self = Self { mean: 0.0, std: 0.0003 };
 
-    /// One that is about `mean`, as uncertain as [`Self::RADIAL`].
+    /// A coefficient with this `mean`, as uncertain as [`Self::RADIAL`].
     pub const fn about(mean: f64) -> Self {
         Self { mean, std: 0.2 }
     }
 }
 
 impl ForeignModel {
-    /// A model with so many coefficients there.
+    /// A model with this number of coefficients there.
     pub const fn new(name: &'static str, coefficients: usize) -> Self {
         Self { name, coefficients }
     }
 }
 
 impl CameraInfoModel {
-    /// One that has the same name everywhere.
+    /// A model with the same name everywhere.
     pub const fn new(name: &'static str, coefficients: usize) -> Self {
         Self { ros: name, foxglove: name, also: &[], coefficients }
     }
@@ -179,7 +179,7 @@ impl OpencvModel {
 }
 
 impl KalibrModel {
-    /// Its camera that has a distortion; others have their coefficients among the intrinsics.
+    /// Its camera with a separate distortion; others have their coefficients among the intrinsics.
     pub const PINHOLE: &'static str = "pinhole";
 
     /// A `pinhole` camera behind this distortion.

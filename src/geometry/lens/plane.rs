@@ -1,4 +1,4 @@
-//! What the models share that distort the image *plane*: pinhole, radial, brown, rational.
+//! Common code of the models that distort the image *plane*: pinhole, radial, brown, rational.
 //!
 //! Such a model maps ideal normalized coordinates (x/z, y/z) to distorted ones, and is one-to-one
 //! up to a largest radius.
@@ -8,10 +8,10 @@ use nalgebra::{Matrix2, Matrix2x3, Point3, SMatrix, Unit, Vector2, Vector3};
 use crate::geometry::lens::model::Distorted;
 use crate::geometry::pixel::Bearing;
 
-/// The largest ideal radius that any plane model is asked for: 89.9° off the axis.
+/// The largest ideal radius of any plane model: 89.9° off the axis.
 pub(super) const MAX_RADIUS: f64 = 573.0;
 
-/// The part of a radius to within which it is inverted before Newton's method goes on.
+/// The relative accuracy to which a radius is inverted before Newton's method takes over.
 const NEARLY: f64 = 1e-6;
 
 /// A distortion of the ideal image plane.
@@ -40,7 +40,7 @@ pub(super) fn distort<const N: usize>(
     (by_ideal.determinant() > 0.0).then_some(distorted_ideal)
 }
 
-/// Without branches, so that a loop over points becomes vector code.
+/// Without branches, so that a loop over points is vectorized.
 #[inline(always)]
 pub(super) fn distort_or_axis<const N: usize>(
     model: &impl PlaneDistortion<N>,
@@ -77,8 +77,8 @@ fn ideal_from_point<const N: usize>(
     (ideal.norm_squared() < model.radius2_limit()).then_some(ideal)
 }
 
-/// Newton's method on the plane from the radial solution, which lies on the invertible branch by
-/// construction.
+/// Newton's method in the plane, starting from the radial solution, which lies on the invertible
+/// branch by construction.
 pub(super) fn undistort<const N: usize>(
     model: &impl PlaneDistortion<N>,
     distorted: Vector2<f64>,
@@ -122,8 +122,8 @@ pub(super) fn undistort<const N: usize>(
     None
 }
 
-/// The ideal radius whose distorted radius is `radius`, on the branch around the axis; the limit
-/// itself beyond it.
+/// The ideal radius with the distorted radius `radius`, on the branch around the axis; the limit
+/// itself beyond that branch.
 fn radial_inverse<const N: usize>(model: &impl PlaneDistortion<N>, radius: f64, limit: f64) -> f64 {
     let distorted_radius = |r: f64| r * model.radial_factor(r * r);
     let (mut low, mut high) = (0.0, radius.min(limit));
@@ -134,7 +134,7 @@ fn radial_inverse<const N: usize>(model: &impl PlaneDistortion<N>, radius: f64, 
         }
         high = (high * 2.0).min(limit * (1.0 - 1e-6));
     }
-    // False position by the Illinois rule: an end that stays twice counts half.
+    // False position with the Illinois rule: the value at an end that is kept twice is halved.
     let (mut at_low, mut at_high, mut moved) =
         (distorted_radius(low) - radius, distorted_radius(high) - radius, 0);
     if at_high <= NEARLY * radius {

@@ -1,4 +1,4 @@
-//! One radial coefficient: the textbook's model.
+//! One radial coefficient: the textbook model.
 
 use nalgebra::{Matrix2, Point3, SMatrix, Vector2};
 

@@ -86,8 +86,8 @@ impl PlaneDistortion<8> for Rational {
     }
 }
 
-/// Where r N(r²)/D(r²) stops rising, or D reaches zero: with s = r², the first root of D, or of
-/// N D + 2 s (N' D − N D').
+/// The squared radius at which r N(r²)/D(r²) stops rising, or D reaches zero: with s = r², the
+/// first root of D, or of N D + 2 s (N' D − N D').
 fn fold(numerator: &[f64; 4], denominator: &[f64; 4]) -> f64 {
     let end = MAX_RADIUS * MAX_RADIUS;
     let mut rise = [0.0; 7];

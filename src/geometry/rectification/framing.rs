@@ -1,4 +1,5 @@
-//! Which part of what a camera, or two parallel ones, see the rectified images show.
+//! The framing of rectified images: which part of the field of view of one camera, or of two
+//! parallel ones, they show.
 
 use nalgebra::{Matrix3, Vector2, Vector4};
 
@@ -27,21 +28,21 @@ pub(super) fn common_matrix(
     CameraMatrix { fx: focal_px, fy: focal_px, cx: principal.x, cy: principal.y, skew: 0.0 }
 }
 
-/// The camera matrix of the rectified images of a camera by itself, of the size of its own.
+/// The camera matrix of the rectified images of a single camera, of the same size as its own.
 pub(super) fn own_matrix(camera: &RotatedCamera<'_>, alpha: f64) -> CameraMatrix {
     let matrix = match camera.is_plane() {
         true => camera.matrix_by_rectangles(alpha),
         false => camera.matrix_by_sides(camera.camera.image_size, alpha),
     };
     let CameraMatrix { fx, fy, cx, cy, .. } = matrix;
-    // Of a lens that sees next to nothing, no field can be filled.
+    // For a lens that sees next to nothing, no field can fill the image.
     let is_usable = fx > 0.0 && fy > 0.0 && [fx, fy, cx, cy].iter().all(|value| value.is_finite());
     if is_usable { matrix } else { camera.camera.lens.matrix }
 }
 
-/// As OpenCV's `stereoRectify`: the middle of what the corners show is in the middle of the image,
-/// and the focal length is between the least with which only what is seen everywhere is in the
-/// image and the greatest with which all is.
+/// As OpenCV's `stereoRectify`. The center of what the image corners show is in the center of the
+/// rectified image. The focal length is between the least that shows only what both cameras see
+/// everywhere, and the greatest that shows all of their fields of view.
 fn by_rectangles(
     cameras: &[RotatedCamera<'_>; 2],
     axis: StereoAxis,
@@ -52,7 +53,7 @@ fn by_rectangles(
     let last = Vector2::new(f64::from(size.width), f64::from(size.height)).map(|l| l - 1.0);
     let [a, b] = cameras.each_ref().map(RotatedCamera::middle_of_corners);
     let principal = 0.5 * last - start * 0.5 * (a + b);
-    // The focal lengths with which each side of a field is at the image's.
+    // The focal lengths at which each side of a field coincides with that of the image.
     let reaching = |field: &FlatField| {
         let FlatField { low, high } = field;
         [
@@ -71,8 +72,8 @@ fn by_rectangles(
     (inner * (1.0 - alpha) + outer * alpha, principal)
 }
 
-/// As OpenCV's `fisheye::stereoRectify`, by the middles of the images' sides, which OpenCV takes
-/// half a pixel to the right of and below where they are.
+/// As OpenCV's `fisheye::stereoRectify`, by the midpoints of the images' sides, which OpenCV takes
+/// half a pixel to the right of and below their true positions.
 fn by_sides(cameras: &[RotatedCamera<'_>; 2], size: ImageSize, alpha: f64) -> (f64, Vector2<f64>) {
     let [a, b] = cameras.each_ref().map(|camera| camera.matrix_by_sides(size, alpha));
     (a.fy.min(b.fy), 0.5 * Vector2::new(a.cx + b.cx, a.cy + b.cy))
@@ -86,18 +87,18 @@ struct FlatField {
 }
 
 impl RotatedCamera<'_> {
-    /// Whether its lens distorts an image plane, as OpenCV's models but `fisheye` do.
+    /// Whether its lens distorts an image plane, as OpenCV's models except `fisheye` do.
     fn is_plane(&self) -> bool {
         self.camera.lens.model().facts().opencv.is_some_and(|known| !known.fisheye)
     }
 
-    /// Normalized coordinates in the rectified frame of what is seen at `pixel`.
+    /// Normalized coordinates in the rectified frame of the ray through `pixel`.
     fn flat(&self, pixel: Pixel) -> Option<Vector2<f64>> {
         let ray = self.camera.lens.bearing_from_pixel(pixel)?;
         Some(flat_from_ray(&(self.rectified_from_camera * ray.into_inner())))
     }
 
-    /// The focal length across the axis, for images of `size`.
+    /// The focal length perpendicular to the axis, for images of `size`.
     fn focal_px(&self, axis: StereoAxis, size: ImageSize) -> f64 {
         let (own, matrix) = (self.camera.image_size, &self.camera.lens.matrix);
         match axis {
@@ -106,8 +107,8 @@ impl RotatedCamera<'_> {
         }
     }
 
-    /// The mean of what is seen at the image's corners, or as far towards them as the lens model
-    /// reaches in all four.
+    /// The mean of the rectified positions of the image's corners; where the lens model does not
+    /// reach all four, of points as far towards them as it does.
     fn middle_of_corners(&self) -> Vector2<f64> {
         let [x, y] = self.last_pixel().map(|last| 0.5 * last);
         let corners_at = |part: f64| {
@@ -120,8 +121,9 @@ impl RotatedCamera<'_> {
         parts().find_map(corners_at).unwrap_or_else(Vector2::zeros)
     }
 
-    /// The field that is seen everywhere, by the image's sides (or as far towards them as the lens
-    /// model reaches), and the one that holds all that is seen.
+    /// The largest field that the image covers everywhere, from the image's sides (or as far
+    /// towards them as the lens model reaches), and the smallest field that contains the whole
+    /// image.
     fn fields(&self) -> (FlatField, FlatField) {
         // OpenCV's grid.
         const LAST: u32 = 8;
@@ -150,9 +152,8 @@ impl RotatedCamera<'_> {
         (inner, outer)
     }
 
-    /// OpenCV's `getOptimalNewCameraMatrix`: between the matrix with which the field that is seen
-    /// everywhere fills the image, and the one with which the field that holds all that is seen
-    /// does.
+    /// OpenCV's `getOptimalNewCameraMatrix`: between the matrix with which the inner of the two
+    /// [`Self::fields`] fills the image, and the one with which the outer does.
     fn matrix_by_rectangles(&self, alpha: f64) -> CameraMatrix {
         let last = Vector2::from(self.last_pixel());
         let filling = |FlatField { low, high }: FlatField| {
@@ -202,7 +203,8 @@ impl RotatedCamera<'_> {
         }
     }
 
-    /// What is seen at the pixel `to`, or as far towards it from `from` as the lens model reaches.
+    /// The rectified position of the pixel `to`, or of one as far towards it from `from` as the
+    /// lens model reaches.
     fn flat_towards(&self, from: Vector2<f64>, to: Vector2<f64>) -> Option<Vector2<f64>> {
         parts().find_map(|part| self.flat(Pixel::from(from + (to - from) * part)))
     }
@@ -213,8 +215,8 @@ impl RotatedCamera<'_> {
     }
 }
 
-/// Parts of a way on which the end of what a lens model reaches is searched, from the whole of it
-/// on.
+/// Parts of a path on which the end of a lens model's range is searched for, from the whole path
+/// downwards.
 fn parts() -> impl Iterator<Item = f64> {
     const STEPS: u32 = 20;
     (1..=STEPS).rev().map(|step| f64::from(step) / f64::from(STEPS))

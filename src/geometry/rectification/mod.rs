@@ -1,13 +1,13 @@
-//! Two cameras rotated in software until they are parallel, so that what one shows in a row of its
-//! image the other shows in the same row.
+//! Stereo rectification: two cameras are rotated in software until they are parallel, so that a
+//! point has the same row in both images.
 //!
-//! The method is J.-Y. Bouguet's, as OpenCV's `stereoRectify` and `fisheye::stereoRectify` have it
-//! (both with `CALIB_ZERO_DISPARITY`): each camera takes half of the rotation between them, then
-//! both together the shortest rotation that lays the baseline along an axis of the image. The
-//! cameras get one focal length and one principal point.
+//! The method is J.-Y. Bouguet's, as in OpenCV's `stereoRectify` and `fisheye::stereoRectify` (both
+//! with `CALIB_ZERO_DISPARITY`). Each camera is rotated by half of the rotation between them, then
+//! both by the shortest rotation that aligns the baseline with an axis of the image. The cameras
+//! get one focal length and one principal point.
 //!
-//! A camera by itself has nothing to be parallel to: its rectified images are those that a lens
-//! without distortion would have taken, and all there is to choose is how much of what it sees they
+//! A single camera need not be parallel to another: its rectified images are those that a lens
+//! without distortion would have taken, and the only choice is how much of its field of view they
 //! show.
 
 mod framing;
@@ -31,7 +31,7 @@ pub struct StereoCamera {
     pub image_size: ImageSize,
 }
 
-/// Along which axis of the rectified images the cameras lie.
+/// The axis of the rectified images along which the cameras lie.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum StereoAxis {
     /// Side by side: rows correspond.
@@ -43,10 +43,10 @@ pub enum StereoAxis {
 /// Cameras that cannot be rectified.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum RectificationError {
-    /// They are at one place.
+    /// They have the same position.
     #[error("the cameras are at the same place: without a baseline there are no epipolar lines")]
     NoBaseline,
-    /// One is before the other.
+    /// One is in front of the other.
     #[error(
         "the baseline is {degrees:.0}° off the image plane: one camera is before the other, and no rotation makes what both see correspond by rows"
     )]
@@ -56,7 +56,7 @@ pub enum RectificationError {
     },
 }
 
-/// A camera as it is after rectification.
+/// A camera after rectification.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RectifiedCamera {
     /// R: rotates coordinates in the camera's own frame to its rectified frame.
@@ -69,24 +69,25 @@ pub struct RectifiedCamera {
 /// Two cameras and their common rectified images.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StereoRectification {
-    /// How the cameras lie.
+    /// The axis along which the cameras lie.
     pub axis: StereoAxis,
     /// The size of both rectified images: that of the first camera's images.
     pub image_size: ImageSize,
     /// In the order given.
     pub cameras: [RectifiedCamera; 2],
-    /// Where the first camera is in the rectified frame of the second, along the axis, in meters:
-    /// negative where the second one is the right one or the lower one.
+    /// The position of the first camera in the rectified frame of the second, along the axis, in
+    /// meters: negative where the second one is the right one or the lower one.
     pub second_from_first_m: f64,
 }
 
-/// A baseline further off the image plane than this is refused. Half of a right angle: beyond it,
-/// the rectified images show more of what neither camera saw than of what they did.
+/// The largest angle of a baseline off the image plane. Half of a right angle: beyond it, most of
+/// the rectified images would show what neither camera saw.
 const MOST_FORWARD_DEGREES: f64 = 45.0;
 
 impl StereoRectification {
-    /// Of two cameras, the second at `second_from_first`. With `alpha` 0 every pixel of the
-    /// rectified images is seen, with 1 all that was seen is in them.
+    /// From two cameras, the second at `second_from_first`. With `alpha` 0 every pixel of the
+    /// rectified images is inside both fields of view, with 1 the rectified images contain all of
+    /// both.
     ///
     /// Lenses with a distorted image plane are framed as by OpenCV's `stereoRectify`, others (and
     /// pairs with one of them) as by `fisheye::stereoRectify`, whose `balance` is `alpha`.
@@ -133,7 +134,7 @@ impl StereoRectification {
 }
 
 impl StereoAxis {
-    /// The coordinate that runs along the axis.
+    /// The index of the coordinate along the axis.
     pub fn coordinate(self) -> usize {
         match self {
             Self::Horizontal => 0,
@@ -141,7 +142,7 @@ impl StereoAxis {
         }
     }
 
-    /// What of two rectified pixels of one point is equal: the row, or the column.
+    /// The coordinate that is equal in both rectified pixels of one point: the row, or the column.
     pub fn shared(self, pixel: Pixel) -> f64 {
         match self {
             Self::Horizontal => pixel.y,
@@ -167,7 +168,7 @@ impl StereoAxis {
 }
 
 impl RectifiedCamera {
-    /// A camera by itself, which keeps its orientation and its camera matrix.
+    /// A single camera that keeps its orientation and its camera matrix.
     pub fn alone(matrix: &CameraMatrix) -> Self {
         Self {
             rectified_from_camera: Matrix3::identity(),
@@ -175,15 +176,15 @@ impl RectifiedCamera {
         }
     }
 
-    /// A camera by itself with `lens` and images of `image_size`, which keeps its orientation; its
-    /// rectified images are of the same size. With `alpha` 0 every pixel of them is seen, with 1
-    /// all that was seen is in them.
+    /// A single camera with `lens` and images of `image_size`, which keeps its orientation. Its
+    /// rectified images are of the same size. With `alpha` 0 every pixel of them is inside the
+    /// field of view, with 1 they contain all of it.
     ///
-    /// The camera matrix is that of OpenCV's `getOptimalNewCameraMatrix`; of a lens that does not
-    /// distort an image plane that of `fisheye::estimateNewCameraMatrixForUndistortRectify`, whose
-    /// `balance` is `alpha`, and which frames by the middles of the image's sides alone. A lens
-    /// without distortion keeps its own. What is further than
-    /// [`WIDEST`](crate::geometry::flat_image::WIDEST) off the axis counts as if it were there.
+    /// The camera matrix is that of OpenCV's `getOptimalNewCameraMatrix`. For a lens that does not
+    /// distort an image plane it is that of `fisheye::estimateNewCameraMatrixForUndistortRectify`,
+    /// whose `balance` is `alpha`, and which frames by the midpoints of the image's sides alone. A
+    /// lens without distortion keeps its own. Points beyond
+    /// [`WIDEST`](crate::geometry::flat_image::WIDEST) off the axis count as if they were there.
     pub fn framed(lens: &Lens, image_size: ImageSize, alpha: f64) -> Self {
         if lens.model() == LensModel::Pinhole {
             return Self::alone(&lens.matrix);
@@ -199,22 +200,23 @@ impl RectifiedCamera {
         CameraMatrix { fx: p[(0, 0)], fy: p[(1, 1)], cx: p[(0, 2)], cy: p[(1, 2)], skew: p[(0, 1)] }
     }
 
-    /// Where the camera with `lens` sees what is at `rectified`; `None` outside its field of view.
+    /// The pixel in the camera with `lens` that is shown at `rectified`; `None` outside its field
+    /// of view.
     pub fn pixel_from_rectified(&self, lens: &Lens, rectified: Pixel) -> Option<Pixel> {
         let flat = self.matrix().normalized_from_pixel(rectified);
         let ray = self.rectified_from_camera.tr_mul(&Vector3::new(flat.x, flat.y, 1.0));
         lens.pixel_from_point(&Point3::from(ray))
     }
 
-    /// Where the rectified image shows what the camera with `lens` sees at `pixel`; `None` for what
-    /// a flat image cannot show.
+    /// The position in the rectified image of `pixel` of the camera with `lens`; `None` for a
+    /// direction that a flat image cannot show.
     pub fn rectified_from_pixel(&self, lens: &Lens, pixel: Pixel) -> Option<Pixel> {
         let ray = self.rectified_from_camera * lens.bearing_from_pixel(pixel)?.into_inner();
         (ray.z > 0.0).then(|| self.matrix().pixel_from_normalized(ray.xy() / ray.z))
     }
 }
 
-/// The rotations that make two cameras parallel, and how they lie then.
+/// The rotations that make two cameras parallel, and the axis along which they then lie.
 fn parallel(
     second_from_first: &Pose,
 ) -> Result<(StereoAxis, [Matrix3<f64>; 2]), RectificationError> {
@@ -234,7 +236,7 @@ fn parallel(
     };
     let mut along = Vector3::zeros();
     along[axis.coordinate()] = baseline[axis.coordinate()].signum();
-    // The shortest rotation between two directions, whose cosine is over 1/2 here.
+    // The shortest rotation between two directions, the cosine of whose angle is over 1/2 here.
     let direction = baseline / length;
     let to_axis = UnitQuaternion::from_quaternion(Quaternion::from_parts(
         1.0 + direction.dot(&along),

@@ -1,11 +1,11 @@
-//! Against geometry itself: points in space, seen by both cameras.
+//! Rectification against plain geometry: points in space, projected to both cameras.
 
 use nalgebra::{Point3, Vector3, Vector4};
 
 use super::*;
 use crate::geometry::flat_image::WIDEST;
 
-/// Numbers between −1 and 1, the same for each seed (a linear congruential generator's upper bits).
+/// Pseudorandom numbers between −1 and 1 (the upper bits of a linear congruential generator).
 struct Draws(u64);
 
 impl Draws {
@@ -104,7 +104,7 @@ fn edge() -> impl Iterator<Item = Pixel> {
     across.chain(down).map(|(x, y)| Pixel::new(f64::from(x), f64::from(y)))
 }
 
-/// In the image, but for as much as a side curves between two of the nine points that are followed.
+/// Inside the image, up to the curvature of a side between two of the nine sampled points.
 fn is_inside(at: Pixel) -> bool {
     (-1.0..640.0).contains(&at.x) && (-1.0..480.0).contains(&at.y)
 }
@@ -126,7 +126,8 @@ fn alpha_0_shows_nothing_unseen_and_alpha_1_leaves_nothing_out() {
     }
 }
 
-/// Whether all of the `tight` image is seen, and all that is seen is in the `wide` one.
+/// Checks that the `tight` image shows only what the camera sees, and that the `wide` one shows all
+/// of it.
 fn assert_frames(lens: &Lens, tight: &RectifiedCamera, wide: &RectifiedCamera) {
     for pixel in edge() {
         let seen = tight.pixel_from_rectified(lens, pixel);
