@@ -1,38 +1,38 @@
-//! What the surroundings of a keypoint show, as 128 whole numbers (Lowe 2004, section 6).
+//! The descriptor of a keypoint's surroundings: 128 whole numbers (Lowe 2004, section 6).
 
 use std::f32::consts::TAU;
 
 use crate::features::extrema::Extremum;
 use crate::features::orientation::Gradients;
 
-/// Numbers of a descriptor: 4 × 4 places, 8 directions each.
+/// Length of a descriptor: 4 × 4 spatial bins (places), 8 directions each.
 pub const LENGTH: usize = PLACES * PLACES * DIRECTIONS;
 
 const PLACES: usize = 4;
 const DIRECTIONS: usize = 8;
 
-/// The side of one of the 4 × 4 places, in keypoint scales.
+/// The side of one of the 4 × 4 spatial bins, in keypoint scales.
 const PLACE_SCALES: f32 = 3.0;
 
-/// No number is greater than this part of the whole: bright reflections count for no more.
+/// Values are clipped at this part of the descriptor's length, which limits the effect of bright
+/// reflections.
 const CLIP: f32 = 0.2;
 
-/// A descriptor of unit length has this length in whole numbers: the largest number that occurs
-/// then fits a byte.
+/// The length of a descriptor in whole numbers: with it, the largest value that occurs fits a byte.
 pub const UNIT: f32 = 512.0;
 
-/// The distribution of gradients around a keypoint, as the square roots of RootSIFT in units of
-/// 1 / [`UNIT`]: Euclidean distances of these are Hellinger distances of the histograms.
+/// The histogram of gradients around a keypoint, as the square roots of RootSIFT in units of 1 /
+/// [`UNIT`]: Euclidean distances of these are Hellinger distances of the histograms.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Descriptor(pub [u8; LENGTH]);
 
-/// Places with one more on each side, which takes what falls outside.
+/// The spatial bins with one more on each side, which receives what falls outside.
 const PADDED: usize = PLACES + 2;
 
-/// By place, row by row.
+/// By spatial bin, row by row.
 type Histogram = [[f32; DIRECTIONS]; PADDED * PADDED];
 
-/// The descriptor of `extremum` seen along `angle`.
+/// The descriptor of `extremum` relative to the direction `angle`.
 pub(super) fn describe(gradients: &Gradients, extremum: &Extremum, angle: f64) -> Descriptor {
     let padded =
         pulp::Arch::new().dispatch(Accumulate { gradients, extremum, angle: angle as f32 });
@@ -53,7 +53,7 @@ struct Accumulate<'a> {
     angle: f32,
 }
 
-/// Pixels of a row whose places are found together.
+/// Number of pixels of a row that are processed together.
 const LANES: usize = Gradients::PADDING;
 
 impl pulp::NullaryFnOnce for Accumulate<'_> {
@@ -94,11 +94,11 @@ impl pulp::NullaryFnOnce for Accumulate<'_> {
     }
 }
 
-/// From where to where the places are in a row that is `dy` below the keypoint, in pixels from it;
-/// `cos` and `sin` in places a pixel.
+/// The range of a row that the spatial bins cover, in pixels from the keypoint, `dy` below it;
+/// `cos` and `sin` in bins per pixel.
 #[inline(always)]
 fn span(cos: f32, sin: f32, dy: f32) -> (f32, f32) {
-    // A little more, since these are rounded.
+    // Slightly larger, because of rounding.
     let half = (PLACES as f32 + 1.0) * 0.5 + 1e-4;
     let within = |slope: f32, offset: f32| {
         let (a, b) = ((-half - offset) / slope, (half - offset) / slope);
@@ -108,23 +108,23 @@ fn span(cos: f32, sin: f32, dy: f32) -> (f32, f32) {
     (u.0.max(v.0), u.1.min(v.1))
 }
 
-/// Which places the pixels of a part of a row belong to, and how much.
+/// The spatial bins to which pixels of a part of a row contribute, with weights.
 struct Shares {
-    /// 1 within the places, 0 outside.
+    /// 1 inside the spatial bins, 0 outside.
     inside: [u32; LANES],
-    /// The nearest place above and left.
+    /// The nearest spatial bin above and to the left.
     place: [u32; LANES],
-    /// The nearest direction below.
+    /// The nearest direction bin below.
     direction: [u32; LANES],
-    /// How far on the way to the next direction.
+    /// The fraction of the distance to the next direction bin.
     beyond: [f32; LANES],
-    /// What the nearest two by two places get, row by row.
+    /// The contributions to the nearest two by two spatial bins, row by row.
     parts: [[f32; LANES]; 4],
 }
 
 impl Shares {
-    /// Of gradients with these lengths and directions; `at` gives where each is, in places from
-    /// the keypoint.
+    /// Of gradients with these lengths and directions; `at` gives the position of each, in spatial
+    /// bins from the keypoint.
     #[inline(always)]
     fn of(
         lengths: &[f32; LANES],
@@ -135,7 +135,7 @@ impl Shares {
         let (inside, place, direction) = ([0; LANES], [0; LANES], [0; LANES]);
         let (beyond, parts) = ([0.0; LANES], [[0.0; LANES]; 4]);
         let mut shares = Self { inside, place, direction, beyond, parts };
-        // Places are numbered by their middles, from the padding on.
+        // Spatial bins are numbered by their centers, starting at the padding.
         let (half, first) = (PLACES as f32 * 0.5, PLACES as f32 * 0.5 + 0.5);
         let end = (PADDED - 1) as f32;
         for k in 0..LANES {
@@ -162,7 +162,7 @@ impl Shares {
         shares
     }
 
-    /// Adds those of pixel `k`.
+    /// Adds the contributions of pixel `k`.
     #[inline(always)]
     fn add(&self, k: usize, histogram: &mut Histogram) {
         if self.inside[k] == 0 {
@@ -184,7 +184,7 @@ impl Shares {
     }
 }
 
-/// 1 in one direction.
+/// 1 in a single direction.
 const ONLY: [[f32; DIRECTIONS]; DIRECTIONS] = {
     let mut only = [[0.0; DIRECTIONS]; DIRECTIONS];
     let mut k = 0;
@@ -195,24 +195,24 @@ const ONLY: [[f32; DIRECTIONS]; DIRECTIONS] = {
     only
 };
 
-/// Added to a number between 0 and 2²², this rounds it to a whole one.
+/// Adding this to a number between 0 and 2²² rounds it to a whole number.
 const ROUNDING: f32 = 8_388_608.0;
 
-/// The next whole number below, of numbers between 0 and 2²², without a call.
+/// The largest whole number not above `x`, between 0 and 2²², without a function call.
 #[inline(always)]
 fn floor(x: f32) -> f32 {
     let rounded = (x + ROUNDING) - ROUNDING;
     if rounded > x { rounded - 1.0 } else { rounded }
 }
 
-/// A whole number between 0 and 255 as an integer, without a call.
+/// A whole number between 0 and 255 as an integer, without a function call.
 #[inline(always)]
 fn whole(x: f32) -> u32 {
     (x + ROUNDING).to_bits() & 0xff
 }
 
-/// exp(−t / 2), the Gaussian as wide as half the window, as (1 − t / 16)⁸: within 0.04 where the
-/// window ends and without a call.
+/// exp(−t / 2), a Gaussian with a standard deviation of half the window, approximated by (1 − t /
+/// 16)⁸: within 0.04 at the window's end, and without a function call.
 #[inline(always)]
 fn falloff(t: f32) -> f32 {
     let quarter = 1.0 - t * 0.0625;

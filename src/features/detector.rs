@@ -1,4 +1,4 @@
-//! The features of one image, a bounded number spread over it.
+//! The features of one image: a limited number, spread over the image.
 
 use crate::features::descriptor::{Descriptor, describe};
 use crate::features::extrema::{Extremum, extrema};
@@ -8,36 +8,36 @@ use crate::features::scale_space::{Octave, Octaves, SCALES};
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
 
-/// Keypoints with what their surroundings show, strongest first: any first part of them is spread
-/// over the image too.
+/// Keypoints with their descriptors, strongest first; any leading part of them is spread over the
+/// image too.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Features {
-    /// Where.
+    /// The keypoints.
     pub keypoints: Vec<Keypoint>,
-    /// What, in the same order.
+    /// Their descriptors, in the same order.
     pub descriptors: Vec<Descriptor>,
 }
 
-/// How features are searched.
+/// Options of feature detection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FeatureOptions {
-    /// The most keypoints of one image.
+    /// The largest number of keypoints in one image.
     pub max_features: usize,
 }
 
 impl Default for FeatureOptions {
-    /// 3000: more hardly lowers a calibration's uncertainty, since those left out are weak, and
-    /// matching takes the square of their number.
+    /// 3000: more would hardly lower a calibration's uncertainty, since the weakest are left out,
+    /// and the time of matching grows with the square of their number.
     fn default() -> Self {
         Self { max_features: 3000 }
     }
 }
 
-/// Cells along the longer side of the image among which keypoints are spread.
+/// Cells along the longer side of the image, over which keypoints are spread.
 const CELLS: usize = 12;
 
-/// The features of `image`: extrema of the difference of Gaussians with RootSIFT descriptors.
-/// Empty for an image without texture or too small.
+/// The features of `image`: extrema of the difference of Gaussians with RootSIFT descriptors. Empty
+/// for an image that is too small or has no texture.
 pub fn find_features(image: GrayView<'_>, options: &FeatureOptions) -> Features {
     let octaves = Octaves::of(image);
     let mut found: Vec<(Extremum, usize)> = Vec::new();
@@ -86,7 +86,7 @@ pub fn find_features(image: GrayView<'_>, options: &FeatureOptions) -> Features 
     Features { keypoints, descriptors }
 }
 
-/// The order in which extrema are taken: the strongest of each cell of the image first, then the
+/// The order in which extrema are selected: the strongest of each cell of the image first, then the
 /// second of each, and so on.
 fn spread_over_image(
     found: &[(Extremum, usize)],
@@ -107,7 +107,7 @@ fn spread_over_image(
         ranked.push((*count, k));
         *count += 1;
     }
-    // Stable: within one rank the strongest come first.
+    // A stable sort: within one rank the strongest come first.
     ranked.sort_by_key(|(rank, _)| *rank);
     ranked.into_iter().map(|(_, k)| k).collect()
 }

@@ -5,17 +5,17 @@ use nalgebra::{Matrix3, Vector3};
 use crate::features::plane::Plane;
 use crate::features::scale_space::{Octave, SCALES, sigma};
 
-/// The least absolute difference of Gaussians at an extremum, for luma from 0 to 1 and
-/// [`SCALES`] scales an octave: half of Lowe's 0.04 / SCALES, as VLFeat and COLMAP take it.
+/// The least absolute difference of Gaussians at an extremum, for luma from 0 to 1 and [`SCALES`]
+/// scales per octave: half of OpenCV's 0.04 / SCALES, as in VLFeat and COLMAP.
 const LEAST_CONTRAST: f32 = 0.02 / SCALES as f32;
 
-/// The greatest ratio of principal curvatures; more is an edge (Lowe 2004, section 4.1).
+/// The largest ratio of principal curvatures; a larger one is an edge (Lowe 2004, section 4.1).
 const EDGE_RATIO: f64 = 10.0;
 
-/// Steps of the quadratic fit before an extremum counts as unstable.
+/// Steps of the quadratic fit after which an extremum counts as unstable.
 const MAX_STEPS: usize = 5;
 
-/// Extrema this near to the border have no neighborhood.
+/// Extrema this close to the border lack a neighborhood.
 const BORDER: usize = 5;
 
 /// An extremum in an octave's own pixels.
@@ -23,7 +23,7 @@ const BORDER: usize = 5;
 pub(super) struct Extremum {
     pub x: f64,
     pub y: f64,
-    /// The plane at whose blur it lies, with a fraction.
+    /// The index of the plane with its blur, fractional.
     pub level: f64,
     pub contrast: f64,
 }
@@ -42,11 +42,11 @@ pub(super) fn extrema(octave: &Octave) -> Vec<Extremum> {
     candidates.filter_map(|at| refined(&octave.gaussians, *at)).collect()
 }
 
-/// Pixels that are tested together.
+/// Number of pixels that are tested together.
 const LANES: usize = 16;
 
 /// The differences of neighboring planes in three rows: that of `planes[level]` in row `y` is
-/// `[level][y % 3]`, with [`LANES`] more at the end.
+/// `[level][y % 3]`, with [`LANES`] additional values at the end.
 type DifferenceRows = Vec<[Vec<f32>; 3]>;
 
 struct Scan<'a> {
@@ -126,7 +126,7 @@ fn is_extremum(rows: &DifferenceRows, [x, y, level]: [usize; 3]) -> bool {
     if value.abs() < 0.8 * LEAST_CONTRAST {
         return false;
     }
-    // A bright and a dark extremum alike: compare with the sign taken off.
+    // Bright and dark extrema are treated alike: the sign is removed before comparing.
     let sign = value.signum();
     let value = value * sign;
     rows[level - 1..=level + 1].iter().all(|rows| {
@@ -135,8 +135,8 @@ fn is_extremum(rows: &DifferenceRows, [x, y, level]: [usize; 3]) -> bool {
     })
 }
 
-/// Lowe 2004, equations 2 and 3: the extremum of the quadratic through the neighbors; `None`
-/// where it wanders off, has little contrast, or is an edge.
+/// Lowe 2004, equations 2 and 3: the extremum of the quadratic through the neighbors; `None` where
+/// it does not converge, has little contrast, or is an edge.
 fn refined(planes: &[Plane], at: [usize; 3]) -> Option<Extremum> {
     let [mut x, mut y, mut level] = at;
     for _ in 0..MAX_STEPS {

@@ -1,10 +1,10 @@
-//! Which features of two images show the same thing: each the other's nearest, and much nearer
-//! than any second (Lowe 2004, section 7.1).
+//! Matching the features of two images: each must be the other's nearest, and much nearer than the
+//! second nearest (Lowe 2004, section 7.1).
 
 use crate::features::descriptor::{Descriptor, LENGTH, UNIT};
 use crate::features::products::{Block, LANES, Multiply, Plain, ROWS, Row, blocks, row};
 
-/// A feature of one image and the feature of another that shows the same.
+/// A feature of one image and the corresponding feature of another.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Match {
     /// Index in the first image.
@@ -13,15 +13,15 @@ pub struct Match {
     pub second: usize,
 }
 
-/// How much nearer the nearest must be than the second nearest, as a ratio of distances (Lowe
-/// 2004, figure 11).
+/// The largest ratio of the distance of the nearest to that of the second nearest (Lowe 2004,
+/// figure 11).
 const RATIO: f32 = 0.8;
 
-/// Descriptors that share less than this part of their direction show different things whatever
-/// the ratio: a Euclidean distance of 0.7 at unit length, as COLMAP takes it.
+/// The least cosine between matching descriptors, whatever the ratio: a Euclidean distance of 0.7
+/// at unit length, as in COLMAP.
 const LEAST_PRODUCT: f32 = 1.0 - 0.7 * 0.7 / 2.0;
 
-/// Descriptors laid out for products, alone and in blocks.
+/// Descriptors arranged for products, singly and in blocks.
 #[derive(Debug, Clone)]
 pub struct DescriptorTable {
     len: usize,
@@ -39,18 +39,18 @@ impl DescriptorTable {
     }
 }
 
-/// Two descriptors that share this part of their direction both with a third are of one texture
-/// that repeats. Where the texture repeats, 77 to 89 % of the features of an image have two such in
-/// the next one; in photographs of rooms, houses and things up to 12 %, of chessboards up to 27 %
-/// (OpenCV's SIFT, pairs of images of eight sets).
+/// Two descriptors that both have at least this cosine with a third belong to a repeating texture.
+/// Where the texture repeats, 77 to 89 % of the features of an image have two such in the next one;
+/// in photographs of rooms, houses and things up to 12 %, of chessboards up to 27 % (OpenCV's SIFT,
+/// pairs of images of eight sets).
 const SAME_PRODUCT: f32 = 0.95;
 
-/// What the features of one image find in another.
+/// The result of comparing the features of one image with those of another.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Comparison {
     /// The matches, by the first image's index.
     pub matches: Vec<Match>,
-    /// How many features of the first image show what the second image shows at several places.
+    /// Number of features of the first image that match several places in the second.
     pub repeated: usize,
 }
 
@@ -60,7 +60,8 @@ pub fn match_descriptors(first: &DescriptorTable, second: &DescriptorTable) -> V
 }
 
 /// The matches between two images, and how much of the first repeats in the second. The products of
-/// descriptors are whole numbers below 2²⁴, so that they are exact in any order, and as floats.
+/// descriptors are whole numbers below 2²⁴, so they are exact in any order of summation, and as
+/// floats.
 pub fn compare_descriptors(first: &DescriptorTable, second: &DescriptorTable) -> Comparison {
     let nearest = search(first, second);
     let (mut matches, mut repeated) = (Vec::new(), 0);
@@ -78,7 +79,7 @@ pub fn compare_descriptors(first: &DescriptorTable, second: &DescriptorTable) ->
     Comparison { matches, repeated }
 }
 
-/// The greatest products of a row of the table of products.
+/// The largest products of a row in the table of products.
 #[derive(Debug, Clone, Copy)]
 struct Nearest {
     best: i32,
@@ -102,11 +103,11 @@ fn search(first: &DescriptorTable, second: &DescriptorTable) -> Found {
 
 struct Found {
     rows: Vec<Nearest>,
-    /// The row with the greatest product of each column.
+    /// For each column, the row with the largest product.
     column_rows: Vec<u32>,
 }
 
-/// Blocks of columns whose numbers stay in the nearest cache while rows go by.
+/// Blocks of columns that stay in the nearest cache while the rows are processed.
 const CACHED_BLOCKS: usize = 4;
 
 #[derive(Clone, Copy)]
@@ -156,7 +157,7 @@ impl<M: Multiply> pulp::NullaryFnOnce for Search<'_, M> {
     }
 }
 
-/// The best and second best over all lanes; what fills the last block up is skipped.
+/// The best and second best over all lanes; the padding of the last block is skipped.
 fn nearest(lanes: &Lanes, len: usize) -> Nearest {
     let mut nearest = Nearest { best: -1, second: -1, column: usize::MAX };
     for j in 0..LANES {

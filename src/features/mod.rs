@@ -1,5 +1,5 @@
-//! Scale-invariant features: where an image has texture that other views of the same scene show
-//! again, and which belong together.
+//! Scale-invariant features: positions with texture that other views of the same scene show again,
+//! and their matches.
 //!
 //! ```text
 //! luma --scale_space--> Gaussian octaves --extrema--> keypoints --orientation, descriptor-->

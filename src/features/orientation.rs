@@ -1,4 +1,4 @@
-//! Gradients, and the directions that dominate around a keypoint (Lowe 2004, section 5).
+//! Gradients, and the dominant directions around a keypoint (Lowe 2004, section 5).
 
 use std::f32::consts::TAU;
 
@@ -8,31 +8,31 @@ use crate::features::plane::Plane;
 /// Bins of the histogram of directions.
 const BINS: usize = 36;
 
-/// The histogram's window, in keypoint scales.
+/// The standard deviation of the histogram's Gaussian window, in keypoint scales.
 const WINDOW_SIGMA: f64 = 1.5;
 
-/// Peaks this high beside the highest are directions of their own.
+/// Peaks of at least this height relative to the highest are directions of their own.
 const PEAK: f32 = 0.8;
 
-/// Directions of one keypoint at most: a third one hardly ever matches.
+/// The largest number of directions of one keypoint: a third one hardly ever matches.
 const MAX_DIRECTIONS: usize = 2;
 
-/// Length and direction (0 to 2π) of the luma gradient at each pixel; anything at the border.
+/// Length and direction (0 to 2π) of the luma gradient at each pixel; undefined at the border.
 #[derive(Default)]
 pub(super) struct Gradients {
     pub width: usize,
     pub height: usize,
-    /// Row by row, and [`Self::PADDING`] more, as are the directions.
+    /// Row by row, with [`Self::PADDING`] additional values, as are the directions.
     pub lengths: Vec<f32>,
     /// In the same order.
     pub directions: Vec<f32>,
 }
 
 impl Gradients {
-    /// How many pixels can be read from any one on.
+    /// The number of pixels that can be read starting from any pixel.
     pub const PADDING: usize = 16;
 
-    /// Takes those of `plane`.
+    /// Computes the gradients of `plane`.
     pub fn fill(&mut self, plane: &Plane) {
         (self.width, self.height) = (plane.width, plane.height);
         let len = plane.values.len() + Self::PADDING;
@@ -83,7 +83,7 @@ fn direction(y: f32, x: f32) -> f32 {
     if y < 0.0 { TAU - angle } else { angle }
 }
 
-/// The dominating directions around `extremum`, strongest first, in radians.
+/// The dominant directions around `extremum`, strongest first, in radians.
 pub(super) fn orientations(gradients: &Gradients, extremum: &Extremum) -> Vec<f64> {
     let sigma = WINDOW_SIGMA * extremum.sigma();
     let radius = (3.0 * sigma).round();

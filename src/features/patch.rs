@@ -1,11 +1,11 @@
-//! The luma between pixels, for comparing what two images show of one place.
+//! Luma between pixels, for comparing two images of one place.
 
 use crate::features::scale_space::LONGEST_SIDE;
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::{GrayImage, GrayView};
 
-/// An image to be sampled anywhere. A large one is halved until it is as large as the one that
-/// features are searched in.
+/// An image that can be sampled anywhere. A large one is halved to the size at which features are
+/// detected.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PatchImage {
     gray: GrayImage,
@@ -37,7 +37,7 @@ impl PatchImage {
         patches
     }
 
-    /// The length of a sampled pixel in pixels of the image.
+    /// The length of a sampled pixel, in pixels of the image.
     pub fn spacing_px(&self) -> f64 {
         self.spacing_px
     }
@@ -76,8 +76,8 @@ impl PatchImage {
     }
 }
 
-/// Keys's weights of the four pixels around a place the part `t` behind the second, and their
-/// derivatives by `t`.
+/// Keys's weights of the four pixels around a position, which is the fraction `t` past the second
+/// of them, and their derivatives by `t`.
 #[inline(always)]
 fn cubic(t: f64) -> ([f64; 4], [f64; 4]) {
     let (t2, t3) = (t * t, t * t * t);
@@ -109,7 +109,7 @@ fn mean_of_four(gray: &GrayImage) -> GrayImage {
 mod tests {
     use super::*;
 
-    /// A parabola and its slopes are met between pixels to what rounding to eight bits allows.
+    /// Between pixels, a parabola and its slopes are reproduced up to rounding to eight bits.
     #[test]
     fn parabolas_are_interpolated() {
         let light = |x: f64, y: f64| 20.0 + 2.0 * x + y + 0.05 * x * x - 0.03 * x * y;
@@ -118,7 +118,7 @@ mod tests {
         let patches = PatchImage::of(gray.view());
         for (x, y) in [(3.25, 4.5), (20.7, 11.1), (36.5, 26.9)] {
             let sample = patches.sample(Pixel::new(x, y)).unwrap();
-            // Rounding down takes half a step.
+            // Rounding down subtracts half a step.
             assert!((sample.value - (light(x, y) - 0.5)).abs() < 0.8, "{sample:?}");
             let slope = [2.0 + 0.1 * x - 0.03 * y, 1.0 - 0.03 * x];
             assert!((sample.slope[0] - slope[0]).abs() < 1.2, "{sample:?} {slope:?}");
@@ -128,7 +128,7 @@ mod tests {
         assert!(patches.sample(Pixel::new(5.0, 28.1)).is_none());
     }
 
-    /// What is halved keeps its place.
+    /// Halving keeps positions.
     #[test]
     fn large_images_are_halved_in_place() {
         let width = LONGEST_SIDE + 200;

@@ -54,7 +54,7 @@ impl Plane {
     }
 }
 
-/// Half of a normalized Gaussian: the middle, then what is 1, 2, … pixels from it.
+/// Half of a normalized Gaussian: the center, then the weights 1, 2, … pixels from it.
 fn kernel(sigma: f64) -> Vec<f32> {
     let radius = (REACH * sigma).ceil().max(1.0) as usize;
     let weight = |k: usize| (-0.5 * (k as f64 / sigma).powi(2)).exp();
@@ -90,7 +90,7 @@ impl pulp::NullaryFnOnce for Blur<'_> {
     }
 }
 
-/// The sums of what is `k` pixels before and behind, each with the kernel's weight.
+/// The sums of the values `k` pixels before and behind, weighted by the kernel.
 #[inline(always)]
 fn sums<'a>(
     kernel: &[f32],

@@ -1,11 +1,11 @@
-//! The products of many descriptors with many others: whole numbers below 2²⁴, the same from every
+//! The products of many descriptors with many others: whole numbers below 2²⁴, the same on every
 //! processor.
 
 use crate::features::descriptor::{Descriptor, LENGTH};
 
-/// Columns of descriptors that are multiplied together.
+/// Number of columns of descriptors that are multiplied together.
 pub(super) const LANES: usize = 16;
-/// Rows of descriptors that are multiplied together.
+/// Number of rows of descriptors that are multiplied together.
 pub(super) const ROWS: usize = 6;
 
 /// Two neighboring numbers of a descriptor, which processors multiply and add in one step.
@@ -22,7 +22,7 @@ pub(super) fn row(descriptor: &Descriptor) -> Row {
     std::array::from_fn(|k| [descriptor.0[2 * k], descriptor.0[2 * k + 1]].map(i16::from))
 }
 
-/// `rows` side by side, the last block filled up with 0.
+/// `rows` side by side, with the last block padded with 0.
 pub(super) fn blocks(rows: &[Row]) -> Vec<Block> {
     let block = |rows: &[Row]| -> Block {
         std::array::from_fn(|pair| std::array::from_fn(|k| rows.get(k).map_or([0; 2], |r| r[pair])))
@@ -56,7 +56,7 @@ impl Multiply for Plain {
     }
 }
 
-/// With AVX2's product of 16-bit pairs: twice the numbers of a product of floats in a step.
+/// With AVX2's product of 16-bit pairs: twice as many numbers per step as with a product of floats.
 #[cfg(target_arch = "x86_64")]
 impl Multiply for pulp::x86::V3 {
     #[inline(always)]

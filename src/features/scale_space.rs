@@ -3,24 +3,25 @@
 use crate::features::plane::Plane;
 use crate::imaging::gray::GrayView;
 
-/// Scales in an octave at which extrema are searched (Lowe 2004, figure 3: most repeatable).
+/// The number of scales per octave at which extrema are searched (Lowe 2004, figure 3: most
+/// repeatable).
 pub(super) const SCALES: usize = 3;
 
 /// The blur of the first plane of an octave, in its own pixels (Lowe 2004, section 3.3).
 pub(super) const BASE_SIGMA: f64 = 1.6;
 
-/// The blur a photograph comes with, in its pixels (Lowe 2004, section 3.3).
+/// The blur that a photograph is assumed to have, in its pixels (Lowe 2004, section 3.3).
 const CAMERA_SIGMA: f64 = 0.5;
 
 /// Images with at most this many pixels, whose doubled side is no longer than [`LONGEST_SIDE`], are
-/// doubled first, for the finest details; larger ones have keypoints enough without.
+/// doubled first, for the finest details; larger ones have enough keypoints without.
 const DOUBLED_PIXELS: usize = 700_000;
 
-/// Images with a side longer than this are halved first: what is smaller than two pixels there is
-/// noise and sharpening.
+/// Images with a side longer than this are halved first: details smaller than two pixels in them
+/// are noise and sharpening.
 pub(super) const LONGEST_SIDE: usize = 2400;
 
-/// An octave whose shorter side is below this has no room for a descriptor.
+/// The least length of the shorter side of an octave: below it there is no room for a descriptor.
 const SHORTEST_SIDE: usize = 24;
 
 /// One octave: SCALES + 3 planes, each blurred 2^(1/SCALES) times as much as the one before.
@@ -37,7 +38,7 @@ pub(super) fn sigma(k: f64) -> f64 {
     BASE_SIGMA * (k / SCALES as f64).exp2()
 }
 
-/// The octaves of `image` one after the other, each made when it is asked for; luma from 0 to 1.
+/// The octaves of `image` one after the other, each computed when requested; luma from 0 to 1.
 pub(super) struct Octaves {
     next: Option<(Plane, f64, f64)>,
 }
@@ -51,7 +52,8 @@ impl Octaves {
             }
         }
         let (mut spacing, mut offset, mut blur) = (1.0, 0.0, CAMERA_SIGMA);
-        // What is doubled must not be halved at once: that is only blur, a quarter of a pixel off.
+        // An image that would be halved at once must not be doubled: that only adds blur and an
+        // offset of a quarter of a pixel.
         let is_short = 2 * plane.width.max(plane.height) <= LONGEST_SIDE;
         if plane.values.len() <= DOUBLED_PIXELS && is_short {
             plane = plane.doubled();

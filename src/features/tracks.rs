@@ -1,16 +1,16 @@
-//! Features of many images that show one scene point: matches joined, and what contradicts itself
-//! dropped.
+//! Tracks: the features of many images that show one scene point. Matches are joined, and
+//! contradictory tracks dropped.
 
 use std::collections::BTreeMap;
 
 use crate::features::matching::Match;
 
-/// A feature: which image, and its index there.
+/// A feature: the image, and the feature's index in it.
 pub type FeatureIndex = (usize, usize);
 
-/// The tracks of at least two images that `matches` (image, image, matches) join: each a list of
-/// features, one an image, by image. A track that holds two features of one image has joined two
-/// scene points, and nobody can say where; it is dropped. Ordered by their first feature.
+/// The tracks over at least two images that `matches` (image, image, matches) form: each a list of
+/// features, one per image, in the order of the images. A track with two features of one image has
+/// joined two scene points at an unknown match, and is dropped. Ordered by their first feature.
 pub fn join_tracks(matches: &[(usize, usize, Vec<Match>)]) -> Vec<Vec<FeatureIndex>> {
     let mut index: BTreeMap<FeatureIndex, usize> = BTreeMap::new();
     for (a, b, pairs) in matches {
@@ -40,7 +40,7 @@ pub fn join_tracks(matches: &[(usize, usize, Vec<Match>)]) -> Vec<Vec<FeatureInd
     tracks
 }
 
-/// The first element of the set that holds `k` (union–find with path halving).
+/// The root of the set that contains `k` (union–find with path halving).
 fn root(parent: &mut [usize], mut k: usize) -> usize {
     while parent[k] != k {
         parent[k] = parent[parent[k]];
