@@ -59,9 +59,9 @@ pub fn calibrate_and_check(
 }
 
 /// As [`calibrate_and_check`]. Where the scatter between views exceeds that of their corners, the
-/// covariance of the lens comes from repeated solves without some of the views, which take as long
-/// again as many solves. Where a larger lens model than the requested one predicts views better,
-/// the difference from it counts as an error of the lens.
+/// covariance of the lens comes from repeated solves, each without one view or group of views.
+/// Where a larger lens model than the requested one predicts views better, the difference from it
+/// counts as an error of the lens.
 ///
 /// # Errors
 /// As [`calibrate_camera`].

@@ -1,9 +1,9 @@
 //! The covariance of a lens by a jackknife, where the scatter between views exceeds that of their
 //! corners: repeated solves without some of the views (J. Tukey, *Bias and confidence in not quite
 //! large samples*, 1958; over groups of views where there are many). The first-order influences of
-//! views (`clustered_covariance`) keep the inliers fixed, and so the variances of the board's shape
-//! and of motion, where they are in the model. On photographs these change with the views, and the
-//! lens with them.
+//! views (`clustered_covariance`) keep the inliers fixed, as well as the variances of the board's
+//! shape and of motion, where these are in the model. On photographs they change with the views,
+//! and the lens with them.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -17,7 +17,8 @@ use crate::estimation::problem::{
 };
 use crate::estimation::start::Prepared;
 
-/// The largest number of solves: their standard deviation is itself uncertain by a fifth.
+/// The largest number of solves. The standard deviation from this many is itself uncertain by a
+/// fifth.
 const MAX_SOLVES: usize = 16;
 
 /// Fewer solves determine no standard deviation.

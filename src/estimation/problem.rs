@@ -113,7 +113,7 @@ pub struct CameraOptions {
 /// A lens parameter that is known.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GivenParameter {
-    /// Its name, as [`Lens::parameter_names`] has it.
+    /// Its name, as in [`Lens::parameter_names`].
     pub name: String,
     /// Its value; focal lengths and the principal point are in pixels.
     pub value: f64,

@@ -23,7 +23,7 @@ pub struct PrintedRect {
     pub white: bool,
 }
 
-/// A target as it is printed on white paper.
+/// A target as printed on white paper.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PrintedBoard {
     /// Width of the print, in meters.

@@ -249,7 +249,7 @@ impl WalkStart<'_> {
     ) -> Option<Weighed> {
         let mut good = scene.good.to_vec();
         // Effects that were found with a view of odd motion are biased by it, so each search starts
-        // anew.
+        // from scratch.
         let fresh = WalkStart { found: None, ..*self };
         for _ in 0..scene.good.len() / FEW_PART {
             let scene = Scene { good: &good, ..scene };

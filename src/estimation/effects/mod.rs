@@ -12,19 +12,19 @@
 //! | products with the board's shape | `shape_products` |
 //! | one view's Jacobian, dense | `view_columns` |
 //! | posterior and variances | `evidence` |
-//! | the walk to the minimum, and which effects stay | `search` |
-//! | views readmitted beside effects | `readmit` |
-//! | a view that moves as no other does | `odd_motion` |
-//! | corners chosen anew beside effects, with and without motion | `fit` |
+//! | the search for the minimum, and which effects stay | `search` |
+//! | views readmitted under the model with effects | `readmit` |
+//! | a view whose motion is incompatible with the others' | `odd_motion` |
+//! | corners selected again under effects, with and without motion | `fit` |
 //! | covariances at the end | `finish` |
-//! | what was found | `effects_fit` |
+//! | the result | `effects_fit` |
 //! | whether effects are plausible at all | `hints` |
 //! | whether motion is a rolling shutter's | `shutter`, `read_by_rows` |
 //! | the mean of two models that views do not decide between | `averaged` |
-//! | what each view does to the lens | `influence` |
-//! | what another lens would explain beside effects | `lens_score` |
+//! | the influence of each view on the lens | `influence` |
+//! | how another lens would fit with effects | `lens_score` |
 //! | dense factors | `dense` |
-//! | six columns at a time: what poses and motions are coupled with | `six_columns` |
+//! | six columns at a time: the couplings of poses and motions | `six_columns` |
 
 pub(crate) mod apply;
 mod averaged;

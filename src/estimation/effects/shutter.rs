@@ -78,8 +78,8 @@ impl EffectSearch {
 }
 
 impl ReadByRows {
-    /// From the log evidence for rows minus that for columns, in total and per view. Both
-    /// thresholds are multiplied by `asked`. `None` without views.
+    /// From the log evidence for rows minus that for columns, in total and per view. All thresholds
+    /// are multiplied by `asked`. `None` without views.
     fn of(favor: f64, of_views: &[f64], asked: f64) -> Option<Self> {
         let typical = median(of_views.iter().map(|one: &f64| one.abs()).collect())?;
         let of_views: Vec<f64> =

@@ -354,8 +354,8 @@ impl CornerProblem {
         Some(CornerState { rig, offset_s })
     }
 
-    /// Infrared's board pose against color's in each infrared observation; `None` where color did
-    /// not see the board, or the observation cannot be linearized.
+    /// Per observation, infrared's board pose against color's. `None` for color's observations,
+    /// where color did not see the board, and where the observation cannot be linearized.
     fn differences(&self, whole: &CornerState) -> Vec<Option<PoseDifference>> {
         let later = self.later(whole);
         let (mut columns, mut local) = (Columns::default(), LocalEquations::default());
@@ -410,7 +410,7 @@ impl CornerProblem {
         }
     }
 
-    /// Estimates noise, pose jitter and inliers anew; returns whether they have converged.
+    /// Estimates noise, pose jitter and inliers again; returns whether they have converged.
     fn reweight(&mut self, whole: &CornerState) -> bool {
         let later = self.later(whole);
         let differences = self.differences(whole);

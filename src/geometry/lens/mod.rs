@@ -59,7 +59,7 @@ macro_rules! lens_models {
             /// Every model's name in documents, in the same order.
             pub const NAMES: [&'static str; MODEL_COUNT] = [$($model::FACTS.name),*];
 
-            /// What is known of it beside its formula.
+            /// Facts about it besides its formula.
             pub fn facts(self) -> &'static ModelFacts {
                 match self {
                     $(Self::$model => &$model::FACTS,)*
@@ -73,7 +73,7 @@ macro_rules! lens_models {
                 }
             }
 
-            /// What is known of its coefficients before any image.
+            /// The priors of its coefficients.
             pub fn priors(self) -> &'static [CoefficientPrior] {
                 match self {
                     $(Self::$model => &$model::PRIORS,)*
@@ -104,7 +104,7 @@ macro_rules! lens_models {
                 })
             }
 
-            /// What a search for a lens of `model` begins with.
+            /// The distortion from which a search for a lens of `model` starts.
             pub fn start(model: LensModel) -> Self {
                 match model {
                     $(LensModel::$model => {
