@@ -13,9 +13,10 @@
 //! | the same for each observation separately, to be assembled for any subset | `per_observation` |
 //! | steps: Levenberg–Marquardt with a gain ratio | `minimize` |
 //!
-//! One camera is a rig of one sensor whose `sensor_from_rig` is the identity. Points are relative
-//! to a common center, so that a pose's rotation and translation hardly depend on each other. Cost
-//! per iteration is linear in the number of views; no result depends on threads.
+//! One camera is a rig of one sensor whose `sensor_from_rig` is the identity. Planes that a depth
+//! camera measured add residuals of their own (`depth_terms`). Points are relative to a common
+//! center, so that a pose's rotation and translation hardly depend on each other. Cost per
+//! iteration is linear in the number of views; no result depends on threads.
 
 pub(crate) mod depth_terms;
 pub(crate) mod free_lens;
