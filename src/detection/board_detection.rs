@@ -36,21 +36,20 @@ pub struct Detection {
     pub corners: Vec<DetectedCorner>,
     /// Whether corners of the board are missing.
     pub partial: bool,
-    /// Whether indices count from the board's first corner. False for a partial board of which too
-    /// little is visible to know where in the board it lies: then indices are relative, counted
-    /// from some corner.
+    /// Whether indices count from the board's first corner. False for a partial board that shows
+    /// too little to locate it on the board: then indices are relative to one of the seen corners.
     pub position_known: bool,
-    /// No image of this board determines which way round it is (`cols` + `rows` even): the first
-    /// corner is the one nearest the image's top left.
+    /// The orientation cannot be determined from any image of this board (`cols` + `rows` even):
+    /// the first corner is the one nearest the image's top left.
     pub orientation_ambiguous: bool,
     /// Width of the blur at the board's edges, as a Gaussian's standard deviation in pixels.
     pub blur_px: f64,
-    /// What the board's markers say; `None` of a plain chessboard.
+    /// What the board's markers show; `None` for a plain chessboard.
     pub markers: Option<BoardMarkers>,
 }
 
 impl Detection {
-    /// The numbers of its corners on `target`, in their order; `None` where no markers say them.
+    /// The ids of its corners on `target`, in their order; `None` where no markers identify them.
     pub fn corner_ids(&self, target: &Target) -> Option<Vec<u32>> {
         self.markers?;
         let id = |corner: &DetectedCorner| {
@@ -60,21 +59,22 @@ impl Detection {
     }
 }
 
-/// What the markers of a board say besides which corner is which.
+/// What the markers of a board show besides the identity of corners.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct BoardMarkers {
-    /// Markers whose code was read and agrees.
+    /// Markers whose code was read and matches.
     pub read: usize,
-    /// Of a ChArUco board: it has the layout of OpenCV before 4.6; `None` where the two are one.
+    /// For a ChArUco board: it has the layout of OpenCV before 4.6; `None` where both layouts are
+    /// the same.
     pub legacy: Option<bool>,
-    /// Of an AprilGrid: the cells of black around a tag's payload.
+    /// For an AprilGrid: the width of the black border around a tag's payload, in cells.
     pub border_bits: Option<u32>,
-    /// Black and white change places.
+    /// Black and white are exchanged.
     pub inverted: bool,
 }
 
 impl BoardMarkers {
-    /// `target` with what they say of how it is printed.
+    /// `target` with the print variant that the markers show.
     pub fn as_printed(&self, target: &Target) -> Target {
         match *target {
             Target::Chessboard(_) => *target,
@@ -110,7 +110,7 @@ pub enum NoBoard {
         /// Range of brightness between the 1st and the 99th percentile.
         range: u8,
     },
-    /// Edges are too soft for corners.
+    /// Edges are too blurred for corners.
     #[error(
         "too blurred: edges are {blur_px:.1} px wide; focus the lens, hold the board still or shorten the exposure"
     )]
@@ -167,7 +167,7 @@ pub enum NoBoard {
 }
 
 impl NoBoard {
-    /// Every name that [`Self::kind`] gives.
+    /// All names that [`Self::kind`] returns.
     pub const KINDS: [&'static str; 13] = [
         "image_too_small",
         "low_contrast",
@@ -199,7 +199,7 @@ impl NoBoard {
         }
     }
 
-    /// Whether another board than the one asked for is in view, or this one in mirror image.
+    /// Whether a board other than the one asked for is in view, or a mirror image of this one.
     pub fn names_another(&self) -> bool {
         matches!(
             self,

@@ -1,4 +1,4 @@
-//! The detector: search, refinement, report, with memory that is kept from image to image.
+//! The detector: search, refinement and report, with buffers that are reused from image to image.
 
 use crate::detection::board_detection::{DetectOptions, Detection, NoBoard};
 use crate::detection::measure::Probe;
@@ -26,7 +26,7 @@ impl Detector {
         Self::with_thresholds(board, Thresholds::DEFAULT)
     }
 
-    /// A detector of `board` with other thresholds, to measure what they cost.
+    /// A detector of `board` with other thresholds, to measure their effect.
     pub fn with_thresholds(board: BoardSize, thresholds: Thresholds) -> Self {
         Self {
             board,
@@ -37,7 +37,7 @@ impl Detector {
         }
     }
 
-    /// Takes back a detection, whose memory the next one reuses.
+    /// Takes back a detection; the next one reuses its memory.
     pub fn reuse(&mut self, detection: Detection) {
         self.report.spare = detection.corners;
     }

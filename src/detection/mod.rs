@@ -2,8 +2,8 @@
 //!
 //! # Interface
 //!
-//! Pure; uses geometry and imaging. [`detect`] searches one image for a chessboard; a
-//! [`Detector`] keeps its buffers from image to image, and tracks ([`tracking`]).
+//! Pure; uses geometry and imaging. [`detect`] searches one image for a chessboard; a [`Detector`]
+//! reuses its buffers from image to image, and tracks the board ([`tracking`]).
 
 pub mod board_detection;
 pub mod coded;
@@ -34,7 +34,7 @@ use crate::imaging::gray::GrayView;
 /// deviation. For partial boards, or many images, keep a [`Detector`].
 ///
 /// # Errors
-/// [`NoBoard`] says why no board is reported.
+/// [`NoBoard`], with the reason why no board is reported.
 pub fn detect(image: GrayView<'_>, board: BoardSize) -> Result<Detection, NoBoard> {
     Detector::new(board).find_board(image, &DetectOptions::default())
 }

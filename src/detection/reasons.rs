@@ -10,10 +10,10 @@ use crate::imaging::gray::GrayView;
 /// Blur is read from the 99.9th percentile of the gradient magnitude: edges are a few thousandths
 /// of an image that shows a board.
 const STEEPEST: usize = 1000;
-/// A corner this near to the image's border has no window, in pixels.
+/// A corner closer to the image's border than this cannot be measured, in pixels.
 const BORDER_PX: f32 = 1.0;
 
-/// What the search found that was no board.
+/// What the search found instead of the board.
 #[derive(Debug, Default)]
 pub(in crate::detection) struct SearchEvidence {
     /// Most candidates on any level.
@@ -30,8 +30,8 @@ pub(in crate::detection) struct SearchEvidence {
     pub bridged: usize,
 }
 
-/// Why there is no `board`, from what was found on the levels up to `coarsest`, whose image is
-/// `probe`'s.
+/// Why there is no `board`, from the evidence of all levels; `probe` has the image of the level
+/// `coarsest`.
 pub(in crate::detection) fn no_board(
     probe: &Probe<'_>,
     board: BoardSize,
@@ -42,12 +42,12 @@ pub(in crate::detection) fn no_board(
     if let Some((cols, rows)) = evidence.other {
         return NoBoard::OtherSize { cols, rows, board };
     }
-    // A small board hardly changes how brightness is spread over the image.
+    // A small board hardly changes the distribution of brightness.
     let range = brightness_range(view);
     if range < thresholds.least_range && evidence.largest < thresholds.least_grid {
         return NoBoard::LowContrast { range };
     }
-    // A board across half of the image has squares of this size.
+    // The side of a square of a board that spans half of the image.
     let squares = 2 * (board.cols.max(board.rows) + 1);
     let square_px = view.width().max(view.height()) as f32 / squares as f32;
     let blur = sharpest_blur(view, range);
@@ -61,7 +61,7 @@ pub(in crate::detection) fn no_board(
     NoBoard::NoGrid { corners: evidence.candidates, cols, rows }
 }
 
-/// Why the board of which `part` is seen, `seen` of its corners, is not whole.
+/// Why a board of which `part` was found, with `seen` corners, is not whole.
 pub(in crate::detection) fn not_whole(
     image: GrayView<'_>,
     part: &Grid,
@@ -91,7 +91,7 @@ pub(in crate::detection) fn not_whole(
 }
 
 /// Width of the sharpest edges of `image`, as a Gaussian's standard deviation: the slope of an edge
-/// of height h blurred by σ is h/(σ√2π), and the edges are taken to be as high as the image's
+/// of height h with a blur of σ is h/(σ√2π), and the height of edges is taken as the image's
 /// `range` of brightness.
 fn sharpest_blur(image: GrayView<'_>, range: u8) -> f32 {
     let mut counts = [0usize; 256];
@@ -107,7 +107,7 @@ fn sharpest_blur(image: GrayView<'_>, range: u8) -> f32 {
     f32::from(range) / (0.5 * steepest.max(1) as f32 * 2.5066)
 }
 
-/// Brightness between the 1st and the 99th percentile.
+/// The range of brightness between the 1st and the 99th percentile.
 fn brightness_range(image: GrayView<'_>) -> u8 {
     let mut counts = [0usize; 256];
     for y in 0..image.height() {
@@ -121,7 +121,7 @@ fn brightness_range(image: GrayView<'_>) -> u8 {
     high.saturating_sub(low) as u8
 }
 
-/// How many of `counts` it takes to have more than `share` in all, less one.
+/// The index at which the sum of `counts` first exceeds `share`.
 fn first_beyond(share: usize, counts: impl Iterator<Item = usize>) -> usize {
     let mut sum = 0;
     let short = counts.take_while(|&count| {

@@ -18,7 +18,7 @@ use crate::geometry::board::BoardSize;
 use crate::geometry::median::median_of;
 use crate::geometry::pixel::Pixel;
 
-/// Memory of refinement and report, kept from image to image.
+/// Buffers of refinement and report, reused from image to image.
 #[derive(Debug, Default)]
 pub(in crate::detection) struct ReportBuffers {
     pub(in crate::detection) guesses: Vec<GridCorner>,
@@ -31,7 +31,7 @@ pub(in crate::detection) struct ReportBuffers {
 }
 
 impl ReportBuffers {
-    /// Empty ones, of a refiner with these thresholds.
+    /// Empty buffers, and a refiner with these thresholds.
     pub(in crate::detection) fn new(refinement: RefinementThresholds) -> Self {
         Self { refiner: Refiner::new(refinement), ..Self::default() }
     }
@@ -99,7 +99,7 @@ pub(in crate::detection) fn detection(
     }
 }
 
-/// The corners of `grid`, in the board's order, as the refiner takes them.
+/// The corners of `grid` in the board's order, as input of the refiner.
 pub(in crate::detection) fn take_guesses(
     grid: &Grid,
     placement: BoardPlacement,
@@ -116,7 +116,7 @@ pub(in crate::detection) fn take_guesses(
         let neighbors = if (seen[0].or(seen[2])).and(seen[1].or(seen[3])).is_some() {
             seen
         } else {
-            // Alone on its line: the nearest corners predict the next one.
+            // No neighbor on its line: the nearest corners predict the next one.
             let ahead = |col, row| {
                 let (k, l) = placement.in_grid(col, row);
                 let [u, v] = grid.steps(i, j)?;
@@ -135,8 +135,8 @@ pub(in crate::detection) fn take_guesses(
     guesses.sort_unstable_by_key(|guess| (guess.index.row, guess.index.col));
 }
 
-/// The placement of a part, known only if the reported corners determine it, and no line of a
-/// single one.
+/// The placement of a part. It is known only if the reported corners determine it without the lines
+/// that hold a single corner.
 fn determined_by(
     probe: Probe<'_>,
     board: BoardSize,

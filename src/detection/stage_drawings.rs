@@ -1,4 +1,4 @@
-//! The stages of the search on one photograph, one after the other, and the images of them in
+//! The stages of the search on one photograph, one after the other, and their drawings in
 //! `README.md`.
 
 use std::path::{Path, PathBuf};

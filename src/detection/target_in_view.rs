@@ -1,4 +1,4 @@
-//! Which target an image shows, if none is named.
+//! Which target an image shows, when none is named.
 
 use std::fmt;
 
@@ -9,9 +9,9 @@ use crate::geometry::board::BoardSize;
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
 
-/// Sizes that are searched for one after the other, until what is seen in place of one of them is
-/// named. A grid is grown two squares beyond the board that is searched for, so that one search
-/// names boards up to about that size.
+/// Sizes that are searched for one after the other, until the error names the size that is seen. A
+/// grid grows up to two squares beyond the board that is searched for, so one search names boards
+/// up to about that size.
 const SEARCHED: [BoardSize; 4] = [
     BoardSize { cols: 12, rows: 11 },
     BoardSize { cols: 9, rows: 8 },
@@ -20,7 +20,7 @@ const SEARCHED: [BoardSize; 4] = [
 ];
 
 /// How far beyond its outer corners a chessboard must lie in the image, in squares: one, and some
-/// of the border, or the board might go on there.
+/// of the border, since otherwise the board might continue there.
 const SEEN_BEYOND: f64 = 1.1;
 
 /// A target that an image shows.
@@ -44,8 +44,9 @@ impl fmt::Display for TargetInView {
 }
 
 /// The target that `image` shows: a board with markers, else a whole chessboard; `None` if it shows
-/// neither. What is guessed is searched for as if it had been asked for, so a target is named only
-/// if all of detection agrees. It takes several times as long as the search for one target.
+/// neither. The guessed target is searched for as if it had been asked for, so a target is named
+/// only if all of detection confirms it. It takes several times as long as the search for one
+/// target.
 ///
 /// # Examples
 /// ```
@@ -62,7 +63,7 @@ pub fn target_in_view(image: GrayView<'_>) -> Option<TargetInView> {
     SEARCHED.into_iter().find_map(|size| chessboard(image, size)).map(TargetInView::Chessboard)
 }
 
-/// The chessboard of this size, or the one that is seen in its place.
+/// The chessboard of this size, or the one that is seen instead.
 fn chessboard(image: GrayView<'_>, size: BoardSize) -> Option<Detection> {
     let whole = |size| Detector::new(size).find_board(image, &DetectOptions::default());
     let found = match whole(size) {
@@ -72,7 +73,7 @@ fn chessboard(image: GrayView<'_>, size: BoardSize) -> Option<Detection> {
     found.ok().filter(|found| ends_in_view(image, found))
 }
 
-/// Whether the outer squares of a board, all of whose corners are seen, lie in the image too.
+/// Whether the outer squares of a board with all corners seen also lie in the image.
 fn ends_in_view(image: GrayView<'_>, found: &Detection) -> bool {
     let [cols, rows] = [found.board.cols as usize, found.board.rows as usize];
     let at = |col: usize, row: usize| found.corners[row * cols + col].pixel;

@@ -1,10 +1,10 @@
-//! What is answered.
+//! The result of a search for a target with markers.
 
 use crate::detection::board_detection::{BoardMarkers, DetectedCorner, Detection, GridIndex};
 use crate::geometry::board::BoardSize;
 use crate::geometry::pixel::Pixel;
 
-/// A corner of a target that was seen.
+/// A corner of a target that was found.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LabeledCorner {
     /// Its number, as [`Target::corner_in_board`](crate::geometry::target::Target::corner_in_board)
@@ -12,7 +12,7 @@ pub struct LabeledCorner {
     pub id: u32,
     /// Its column and row on the sheet.
     pub index: GridIndex,
-    /// Where it is seen.
+    /// Its position in the image.
     pub pixel: Pixel,
     /// Predicted standard deviation of `pixel`, per axis, in pixels.
     pub std_px: f64,
@@ -21,18 +21,18 @@ pub struct LabeledCorner {
 /// A target that was found.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TargetDetection {
-    /// The corners, by rising id.
+    /// The corners, by ascending id.
     pub corners: Vec<LabeledCorner>,
-    /// Some of its corners were not seen.
+    /// Whether some of its corners were not found.
     pub partial: bool,
-    /// What its markers say besides.
+    /// What its markers show besides.
     pub markers: BoardMarkers,
     /// Width of the blur at the crossings, as a Gaussian's standard deviation in pixels.
     pub blur_px: f64,
 }
 
 impl TargetDetection {
-    /// The same as the detection of any board, of a target with corners in this many columns and
+    /// Converts it to the detection of a board, for a target with corners in this many columns and
     /// rows.
     pub fn into_detection(mut self, board: BoardSize) -> Detection {
         self.corners.sort_unstable_by_key(|corner| (corner.index.row, corner.index.col));

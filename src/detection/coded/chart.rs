@@ -1,5 +1,5 @@
 //! Predicts a crossing from the nearest known ones by a local homography from the lattice to the
-//! image: fitted to these alone, it follows a lens's distortion.
+//! image. As it is fitted to these alone, it follows the lens's distortion.
 
 use nalgebra::Matrix3;
 
@@ -11,12 +11,12 @@ use crate::detection::measure::cross::Vec2;
 /// Radii around a place within which crossings are gathered for a local homography, in grid lines,
 /// tried in this order.
 const REACHES: [i32; 3] = [2, 4, FARTHEST];
-/// The largest of them: crossings farther off change no chart.
+/// The largest of them: crossings farther away do not affect a chart.
 pub(super) const FARTHEST: i32 = 9;
-/// Crossings at which gathering stops: twice the four that a homography takes.
+/// Crossings at which gathering stops: twice the four that determine a homography.
 const ENOUGH_CROSSINGS: usize = 8;
-/// Weight of the assumption that there is no perspective, relative to one crossing: a few
-/// crossings with a noise of 2 % of their spread weigh less.
+/// Weight of the prior that there is no perspective, relative to one crossing: a few crossings with
+/// a noise of 2 % of their spread weigh less.
 const FLATNESS: f64 = 0.004;
 
 /// A homography from lattice to image, near one place.
@@ -27,11 +27,11 @@ pub(super) struct Chart {
     spread: f64,
     mean: [f64; 2],
     scale: f64,
-    /// Within how many lines crossings were gathered for it.
+    /// The number of lines within which crossings were gathered for it.
     pub reach: i32,
 }
 
-/// A column's or a row's terms of the three numbers of a homography.
+/// The contribution of a column or a row to the three homogeneous coordinates.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ChartLine([f64; 3]);
 
@@ -86,13 +86,14 @@ fn squared_distance([x, y]: [f64; 2], [to_x, to_y]: [f64; 2]) -> f64 {
 }
 
 impl Chart {
-    /// Fitted to `pairs`; `None` of fewer than three or where they span no plane.
+    /// Fits a homography to `pairs`; `None` for fewer than three, or where they do not span a
+    /// plane.
     pub(super) fn fit(pairs: &[ChartPair]) -> Option<Self> {
         if pairs.len() < 3 { None } else { pulp::Arch::new().dispatch(ChartFit { pairs }) }
     }
 
-    /// Fitted to the crossings of `grid` nearest to the place (x, y), those on line `without` left
-    /// out.
+    /// Fits a homography to the crossings of `grid` nearest to the crossing (i, j), except for the
+    /// crossing `without`.
     pub(super) fn near(
         grid: &Grid,
         sheets: &Sheets,
@@ -135,12 +136,12 @@ impl Chart {
         Some(Self { reach: inner, ..Self::fit(pairs)? })
     }
 
-    /// Where it puts the place (x, y); `None` behind the camera.
+    /// The pixel of the place (x, y); `None` behind the camera.
     pub(super) fn at(&self, x: f32, y: f32) -> Option<Vec2> {
         self.at_crossing(self.column(x), self.row(y))
     }
 
-    /// What all places with this x have in common.
+    /// The part of the projection that all places with this x share.
     #[inline(always)]
     pub(super) fn column(&self, x: f32) -> ChartLine {
         let i = (f64::from(x) - self.middle[0]) / self.spread;
@@ -148,7 +149,7 @@ impl Chart {
         ChartLine([h[0] * i, h[3] * i, 1.0 + h[6] * i])
     }
 
-    /// What all places with this y have in common.
+    /// The part of the projection that all places with this y share.
     #[inline(always)]
     pub(super) fn row(&self, y: f32) -> ChartLine {
         let j = (f64::from(y) - self.middle[1]) / self.spread;
@@ -156,7 +157,7 @@ impl Chart {
         ChartLine([h[1] * j, h[4] * j, h[7] * j])
     }
 
-    /// Where it puts the place that a column and a row have in common; `None` behind the camera.
+    /// The pixel of the place where a column and a row cross; `None` behind the camera.
     #[inline(always)]
     pub(super) fn at_crossing(&self, column: ChartLine, row: ChartLine) -> Option<Vec2> {
         let (ChartLine([u, v, w]), ChartLine([du, dv, dw])) = (column, row);

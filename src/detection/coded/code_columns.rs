@@ -1,22 +1,22 @@
-//! The codes of a target's markers by payload cell: what one cell of an image is compared with,
-//! all codes at once.
+//! The codes of a target's markers, arranged by payload cell, so that one cell of an image is
+//! compared with all codes at once.
 
-/// Codes that are compared together, in vectors that fit the processor's registers.
+/// Codes that are compared together; their sums fit the processor's vector registers.
 const BLOCK: usize = 32;
 
-/// For each payload cell its value in every code.
+/// For each payload cell, its value in every code.
 #[derive(Debug, Clone, Default)]
 pub(super) struct CodeColumns {
-    /// Column by column, each with room for a whole number of blocks.
+    /// Column by column, each padded to a whole number of blocks.
     values: Vec<f32>,
-    /// How many codes there are.
+    /// The number of codes.
     pub count: usize,
-    /// For how many there is room in a column.
+    /// The length of a padded column.
     pub room: usize,
 }
 
 impl CodeColumns {
-    /// Of `codes`, each of so many `cells`.
+    /// From `codes`, each of this many `cells`.
     pub(super) fn of(codes: &[f32], cells: usize) -> Self {
         let count = codes.len() / cells.max(1);
         let room = count.next_multiple_of(BLOCK);
@@ -29,7 +29,7 @@ impl CodeColumns {
         Self { values, count, room }
     }
 
-    /// Appends the sum over the cells of `payload` times each code.
+    /// Appends the dot product of `payload` with each code.
     pub(super) fn compare(&self, payload: &[f32], sums: &mut Vec<f32>) {
         let start = sums.len();
         sums.resize(start + self.room, 0.0);

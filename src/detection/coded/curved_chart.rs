@@ -1,8 +1,8 @@
-//! Where a pixel lies in the lattice, near one crossing: the homography of the crossings around it,
-//! and the quadratic form of the place that a lens's distortion adds to it.
+//! Maps pixels to places of the lattice, near one crossing: by the homography of the crossings
+//! around it, plus a quadratic form for the lens's distortion.
 //!
-//! A homography alone leaves 0.1 px and more of the lines beside a crossing where a lens distorts
-//! by a few percent: too much where blur makes of each line what moves the next one.
+//! A homography alone is off by 0.1 px and more at the lines next to a crossing if a lens distorts
+//! by a few percent: too much where blur makes each line affect the position of the next.
 
 use std::collections::HashSet;
 
@@ -13,32 +13,32 @@ use crate::detection::coded::sheet::Sheets;
 use crate::detection::grid::Grid;
 use crate::detection::measure::cross::Vec2;
 
-/// Within how many lines crossings are gathered: four standard deviations of their weight where
-/// lines are at equal intervals.
+/// The number of lines within which crossings are gathered: four standard deviations of their
+/// weight if lines are equally spaced.
 const REACH: i32 = 4;
 /// Terms of a quadratic form of two coordinates.
 const TERMS: usize = 6;
-/// Crossings from which on a quadratic form is fitted: twice its terms.
+/// The least number of crossings for a quadratic form: twice its terms.
 const ENOUGH_PAIRS: usize = 2 * TERMS;
 
-/// Newton's steps: each leaves the square of what was left. And the pixels over which the chart's
-/// slope is taken: over half of one it is straight.
+/// The number of Newton steps: each leaves the square of the previous error. And the pixels over
+/// which the chart's slope is taken: the chart is linear over half a pixel.
 const STEPS: usize = 3;
 const HALF_PX: f64 = 0.5;
 
-/// From the image to the lattice, near one crossing.
+/// The map from the image to the lattice, near one crossing.
 #[derive(Debug, Clone)]
 pub(super) struct CurvedChart {
     lattice_from_image: Matrix3<f64>,
     origin: [f64; 2],
     scale: f64,
-    /// What is added to the homography's place, for each term.
+    /// The factors of the quadratic form that is added to the homography's place.
     added: SMatrix<f64, TERMS, 2>,
 }
 
 impl CurvedChart {
-    /// Fitted to the crossings of `grid` around the one at (i, j) that are `known`, or to all where
-    /// those do not determine it, with weights that fall as a Gaussian with their distance.
+    /// Fits a chart to the crossings of `grid` around the one at (i, j) that are `known`, or to all
+    /// if those are too few. The weights fall as a Gaussian with the distance.
     pub(super) fn near(
         grid: &Grid,
         sheets: &Sheets,
@@ -67,15 +67,14 @@ impl CurvedChart {
         Some(chart)
     }
 
-    /// The place of a pixel.
+    /// The place of a pixel in the lattice.
     pub(super) fn place(&self, pixel: [f64; 2]) -> [f64; 2] {
         let flat = self.flat(pixel);
         let added = self.added.tr_mul(&self.terms(pixel));
         [flat[0] + added[0], flat[1] + added[1]]
     }
 
-    /// The pixel of a place near the crossing, by Newton's method; `None` where it leads away from
-    /// it.
+    /// The pixel of a place near the crossing, by Newton's method; `None` where it diverges.
     pub(super) fn pixel(&self, place: [f64; 2]) -> Option<[f64; 2]> {
         let mut pixel = self.origin;
         for _ in 0..STEPS {
@@ -105,7 +104,7 @@ impl CurvedChart {
         SVector::from([1.0, x, y, x * x, x * y, y * y])
     }
 
-    /// The terms' factors by least squares of what the homography leaves of `pairs`.
+    /// The factors of the terms, by least squares from the homography's residuals at `pairs`.
     fn fitted_to(&self, pairs: &[ChartPair]) -> Option<SMatrix<f64, TERMS, 2>> {
         let mut normal = SMatrix::<f64, TERMS, TERMS>::zeros();
         let mut right = SMatrix::<f64, TERMS, 2>::zeros();
@@ -119,7 +118,7 @@ impl CurvedChart {
         Some(normal.cholesky()?.solve(&right))
     }
 }
-/// The crossings of `grid` around the one at (i, j) that are `wanted`.
+/// Gathers the crossings of `grid` around the one at (i, j) that are `wanted`.
 fn gather(
     grid: &Grid,
     sheets: &Sheets,

@@ -1,31 +1,32 @@
-//! An edge measured across in several places, and the straight line through them.
+//! An edge that is measured at several places along it, and the straight line through these
+//! measurements.
 //!
-//! Places where something covers the edge are outliers (P. J. Rousseeuw and A. M. Leroy: Robust
+//! Places where something occludes the edge are outliers (P. J. Rousseeuw and A. M. Leroy: Robust
 //! Regression and Outlier Detection, 1987).
 
 use crate::detection::measure::cross::Vec2;
 use crate::detection::measure::edges::sample;
 use crate::imaging::gray::GrayView;
 
-/// Places along an edge in which it is measured, and how many of them must agree: half, fewer may
-/// be something else's edge.
+/// Places along an edge at which it is measured, and how many of them must be inliers: half, since
+/// fewer may be on the edge of something else.
 pub(super) const PLACES: usize = 12;
 const LEAST_PLACES: usize = PLACES / 2;
-/// Samples across an edge in each place.
+/// Samples across an edge at each place.
 const ACROSS: usize = 16;
-/// Samples at either end of these that are black or white alone.
+/// Samples at either end of these that are entirely black or white.
 const OUTER: usize = ACROSS / 4;
-/// The part of an edge's contrast by which one place's black or white may differ from the median.
-/// From 0.1 to 0.15 the same corners are answered; from 0.25 on, some under glare that are 1 px
-/// off.
+/// The fraction of an edge's contrast by which the black or white of one place may differ from the
+/// median. From 0.1 to 0.15 the same corners are answered; from 0.25 on, some under glare that are
+/// 1 px off.
 const MOST_UNEVEN: f32 = 0.15;
-/// The median distance from a median, in standard deviations of a normal distribution.
+/// The median absolute deviation of a normal distribution, in standard deviations.
 pub(super) const DEVIATIONS: f32 = 0.6745;
-/// An offset farther off than this many standard deviations is an outlier.
+/// An offset with a residual of more than this many standard deviations is an outlier.
 pub(super) const OUTLYING: f32 = 2.5;
 
-/// How far an edge is from where it is expected: in pixels, along the axis that crosses it; and the
-/// variance of that, for places that have a variance of 1.
+/// The distance of an edge from its prediction, in pixels along the axis that crosses it; and its
+/// variance, if each place has a variance of 1.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Offset {
     pub px: f32,
@@ -35,25 +36,25 @@ pub(super) struct Offset {
 /// The line through an edge's places.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct EdgeLine {
-    /// Where the places are counted from.
+    /// At the start of the places.
     pub here: Offset,
-    /// So many pixels from there.
+    /// At the other end.
     pub there: Offset,
-    /// Covariance of the two.
+    /// Covariance of the two offsets.
     pub covariance: f32,
 }
 
 /// One place of an edge.
 #[derive(Debug, Clone, Copy)]
 struct EdgePlace {
-    /// How far along the edge, and how far from the prediction across, in pixels.
+    /// The distance along the edge, and the offset from the prediction across it, in pixels.
     along: f32,
     off: f32,
-    /// Gray on the near side of the axis across, and on the far one.
+    /// The gray on the near side and on the far side of the edge.
     grays: [f32; 2],
 }
 
-/// The places of one edge; buffers are kept.
+/// The places of one edge; its buffers are reused.
 #[derive(Debug, Default)]
 pub(super) struct EdgePlaces {
     places: Vec<EdgePlace>,
@@ -66,8 +67,8 @@ impl EdgePlaces {
         self.places.clear();
     }
 
-    /// Adds what `image` shows at `center`, `along` pixels from where places are counted, `half_px`
-    /// to either side in the direction `across`.
+    /// Adds the place at `center` of `image`, `along` pixels from the start, sampled `half_px` to
+    /// either side in the direction `across`.
     pub(super) fn measure(
         &mut self,
         image: GrayView<'_>,
@@ -79,8 +80,8 @@ impl EdgePlaces {
         self.places.extend(EdgePlace::measure(image, center, along, across, half_px));
     }
 
-    /// Keeps of `places` those whose black and white are as at most of them; `None` if black is not
-    /// darker than white.
+    /// Keeps the places whose black and white are like the median's; `None` if black is not darker
+    /// than white.
     pub(super) fn keep_alike(&mut self, bright: f32) -> Option<()> {
         if self.places.len() < LEAST_PLACES {
             return None;
@@ -93,14 +94,14 @@ impl EdgePlaces {
         (contrast > 0.0).then_some(())
     }
 
-    /// The straight line through the offsets of `places`: its offsets at its start and so many
-    /// pixels from it. `None` if too few agree.
+    /// The straight line through the offsets of `places`: its offset at the start, and at
+    /// `length_px` from it. `None` if there are too few inliers.
     pub(super) fn line(&mut self, length_px: f32) -> Option<EdgeLine> {
         if self.places.len() < LEAST_PLACES {
             return None;
         }
         let Self { places, sorted } = self;
-        // Repeated medians (A. F. Siegel, 1982): half of the places may be anything.
+        // Repeated medians (A. F. Siegel, 1982): up to half of the places may be outliers.
         let mut slopes = [0.0; PLACES];
         for (slope, a) in slopes.iter_mut().zip(places.iter()) {
             let others = places.iter().filter(|b| b.along != a.along);
@@ -110,7 +111,7 @@ impl EdgePlaces {
         let slope = median(sorted, slopes[..count].iter().copied());
         let start = median(sorted, places.iter().map(|it| it.off - slope * it.along));
         let rest = |it: &EdgePlace| (it.off - start - slope * it.along).abs();
-        // With few places the median residual is too small (Rousseeuw and Leroy).
+        // With few places the median residual underestimates the scatter (Rousseeuw and Leroy).
         let few = 1.0 + 5.0 / (count - 2) as f32;
         let most = OUTLYING * few * median(sorted, places.iter().map(rest)) / DEVIATIONS;
         places.retain(|it| rest(it) <= most);
@@ -138,7 +139,7 @@ impl EdgePlaces {
 }
 
 impl EdgePlace {
-    /// What `image` shows across a side at `center`, so far along it.
+    /// Measures the edge at `center` in `image`, `along` pixels from the start.
     fn measure(
         image: GrayView<'_>,
         center: Vec2,
@@ -153,13 +154,13 @@ impl EdgePlace {
         }
         let mean = |of: &[f32]| of.iter().sum::<f32>() / of.len() as f32;
         let [near, far] = [mean(&grays[..OUTER]), mean(&grays[ACROSS - OUTER..])];
-        // Of a step so far off, the mean is that much nearer to the gray on its other side.
+        // The mean over a step that is off-center is closer to the gray on its wider side.
         let off = half_px * (near + far - 2.0 * mean(&grays)) / (far - near);
         (off.abs() <= 0.5 * half_px).then_some(Self { along, off, grays: [near, far] })
     }
 }
 
-/// The median of `values`, sorted in `buffer`; 0 of none.
+/// The median of `values`, sorted in `buffer`; 0 if there are none.
 pub(super) fn median(buffer: &mut Vec<f32>, values: impl Iterator<Item = f32>) -> f32 {
     buffer.clear();
     buffer.extend(values);

@@ -1,9 +1,11 @@
-//! Which sides of a lattice are the board's own ends, by what lies beyond the outer squares.
+//! Determines which sides of a lattice are the board's own ends, by the pattern beyond the outer
+//! squares.
 //!
-//! The two layouts of a ChArUco board of even rows have the same markers in the same order, moved
-//! by one square: of a part of it only the board's ends distinguish them. Beyond an outer bright
-//! square lies bright paper if the board ends there, and a dark square if it goes on. Ends that
-//! both layouts share, as the top of a board whose layouts differ by a column, say nothing.
+//! The two layouts of a ChArUco board with an even number of rows have the same markers in the same
+//! order, offset by one square: on a part of the board, only its ends distinguish them. Beyond a
+//! bright outer square there is bright paper if the board ends there, and a dark square if it
+//! continues. Ends that both layouts share do not distinguish them, such as the top of a board
+//! whose layouts differ by a column.
 
 use crate::detection::coded::chart::{Chart, ChartPair};
 use crate::detection::coded::labels::BoardLabel;
@@ -14,28 +16,28 @@ use crate::detection::thresholds::markers::LabelThresholds;
 use crate::detection::verify::placement::BoardPlacement;
 use crate::imaging::gray::GrayView;
 
-/// A line of outer corners of a labeled board, and what is seen beyond it.
+/// An outer line of corners of a labeled board, and what is seen beyond it.
 #[derive(Debug, Clone, Copy)]
 struct SheetSide {
-    /// The way outward, in the grid.
+    /// The outward direction in the grid.
     outward: (i32, i32),
-    /// How far out the line lies that way.
+    /// The position of the line in that direction.
     line: i32,
     beyond: Beyond,
 }
 
-/// What lies beyond the outer squares of a side.
+/// The pattern beyond the outer squares of a side.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Beyond {
     /// Paper: the board ends there.
     Paper,
-    /// Squares that go on alternating.
+    /// Squares that continue alternating.
     Squares,
     /// Neither is certain.
     Unknown,
 }
 
-/// A lattice in an image, and the sheets that it may be of.
+/// A lattice in an image, and the sheets that it may belong to.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct LatticeInImage<'a> {
     pub image: GrayView<'a>,
@@ -44,9 +46,9 @@ pub(super) struct LatticeInImage<'a> {
     pub limits: &'a LabelThresholds,
 }
 
-/// Of two ways in which a board may lie in the lattice, the one that the sides at which they differ
-/// speak for: an end of it is seen, or the other would end where squares go on. `None` if they
-/// speak for neither or for both.
+/// Chooses between two placements of a board by the sides at which they differ: one has an end that
+/// is seen, or the other would end where squares continue. `None` if the sides support neither or
+/// both.
 pub(super) fn by_sides(
     lattice: LatticeInImage<'_>,
     labels: [BoardLabel; 2],
@@ -72,23 +74,23 @@ pub(super) fn by_sides(
 /// An outer line of a board's corners, in the board's columns and rows.
 #[derive(Debug, Clone, Copy)]
 struct OuterLine {
-    /// A column of corners; else a row.
+    /// Whether it is a column of corners; otherwise a row.
     upright: bool,
-    /// Which.
+    /// Its index.
     line: i32,
-    /// 1 or −1: the way outward.
+    /// The outward direction: 1 or −1.
     step: i32,
-    /// How many corners it has.
+    /// Its number of corners.
     length: i32,
 }
 
 impl OuterLine {
-    /// The column and row of its corner number `k`.
+    /// The column and row of its `k`-th corner.
     fn corner(self, k: i32) -> (i32, i32) {
         if self.upright { (self.line, k) } else { (k, self.line) }
     }
 
-    /// The way outward in the grid in which the board is placed so.
+    /// The outward direction in the grid, for this placement of the board.
     fn outward(self, placement: BoardPlacement) -> (i32, i32) {
         let origin = placement.in_grid(0, 0);
         let (col, row) = if self.upright { (self.step, 0) } else { (0, self.step) };
@@ -97,7 +99,7 @@ impl OuterLine {
     }
 }
 
-/// The four sides of the board of `lines` corners, placed so in the lattice.
+/// The four sides of a board of `lines` corners at this placement in the lattice.
 fn sides(
     lattice: LatticeInImage<'_>,
     [across, down]: [i32; 2],
@@ -139,17 +141,17 @@ fn beyond(squares: &[OuterSquare], limits: &LabelThresholds) -> Beyond {
     }
 }
 
-/// A square of a side's outer row.
+/// A square of the outer row of a side.
 #[derive(Debug, Clone, Copy)]
 struct OuterSquare {
     bright: bool,
-    /// It ends where it should, and what is beyond is bright.
+    /// It ends where it should, and beyond it is bright.
     paper: bool,
-    /// It ends where it should, and what is beyond is its opposite.
+    /// It ends where it should, and beyond it is the opposite color.
     alternates: bool,
 }
 
-/// The outer square beside two corners, all in the grid; `None` where it is not seen.
+/// The outer square next to two corners, all in the grid; `None` where it is not seen.
 fn square_ends(
     LatticeInImage { image, grid, sheets, limits }: LatticeInImage<'_>,
     [a, b]: [(i32, i32); 2],

@@ -1,5 +1,5 @@
-//! From a labeled lattice on some level to what is answered: on the image itself, refined, with
-//! what is in doubt left out.
+//! From a labeled lattice on some level to the detection: refined on the image itself, without
+//! doubtful corners.
 
 use crate::detection::board_detection::{BoardMarkers, GridIndex};
 use crate::detection::coded::answer::{LabeledCorner, TargetDetection};
@@ -17,12 +17,12 @@ use crate::geometry::median::{median, median_of};
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
 
-/// The part of a limit within which a crossing is however intervals are measured: those between
-/// its neighbors and those of a homography are not twice as large as each other.
+/// The fraction of a limit within which a crossing passes however intervals are measured: intervals
+/// between its neighbors and those of a homography differ by less than a factor of two.
 const WELL_WITHIN: f32 = 0.5;
 
 impl TargetDetector {
-    /// The detection of the board that lies in `grid` as `label` says, found on `level`.
+    /// The detection of the board that lies in `grid` as in `label`, found on `level`.
     pub(super) fn finish(
         &mut self,
         image: GrayView<'_>,
@@ -50,15 +50,15 @@ impl TargetDetector {
         })
     }
 
-    /// Moves each crossing to where `view`, a finer level than the last one, shows it, and searches
-    /// it for those that are missing.
+    /// Moves each crossing to its position in `view`, a finer level than the last one, and searches
+    /// `view` for missing crossings.
     pub(super) fn sharpen_on(&mut self, view: GrayView<'_>, label: BoardLabel) {
         self.forget_candidates(view);
         self.sharpen(view);
         self.complete(view, label);
     }
 
-    /// Moves each crossing to where a finer level shows it.
+    /// Moves each crossing to its position on a finer level.
     fn sharpen(&mut self, view: GrayView<'_>) {
         let Thresholds { marker_corners: limits, lattice, .. } = self.thresholds;
         for index in 0..self.grid.members.len() {
@@ -89,13 +89,13 @@ impl TargetDetector {
         }
     }
 
-    /// Drops the crossing that lies farthest from where the others put it, until all lie within
-    /// `most`. False if too many must go. Where they lie is left in `held`.
+    /// Drops the crossing that is farthest from where the others predict it, until all are within
+    /// `most`. Returns false if too many must go. The distances are left in `held`.
     pub(super) fn drop_misplaced(&mut self, most: f32) -> bool {
         self.drop_farthest(most, Self::hold)
     }
 
-    /// The same, each crossing held against the others by `hold`.
+    /// The same, with `hold` to compare a crossing with the others.
     fn drop_farthest(
         &mut self,
         most: f32,
@@ -132,7 +132,7 @@ impl TargetDetector {
         holds
     }
 
-    /// How far the crossing `at` lies from where the others put it.
+    /// The distance of the crossing `at` from where the others predict it.
     fn hold(&mut self, at: (i32, i32), most: f32) -> HeldCrossing {
         let suspect_share = self.thresholds.marker_corners.suspect_share;
         let narrow = self.sheets.widths[0].min(self.sheets.widths[1]);
@@ -148,7 +148,7 @@ impl TargetDetector {
                 .map_or(f32::MAX, |off| off.x.abs().max(off.y.abs()))
         };
         let mut off = off_from(expected);
-        // Under lens distortion the lines that end here are curved.
+        // Under lens distortion, the lines through a crossing at the border are curved.
         if off > most
             && let Some(curved) = expect_curved(&self.sheets, &self.grid, at)
         {
@@ -159,9 +159,8 @@ impl TargetDetector {
         HeldCrossing { off, off_px, steps: Some(steps), ..held }
     }
 
-    /// The same where only those beyond `most` matter: a crossing that is well within that of where
-    /// the lines beside it go on is not, wherever a homography puts it. That takes ten times as
-    /// long.
+    /// The same, if only distances beyond `most` matter: a crossing that is well within `most` of
+    /// the continued lines next to it needs no homography, which takes ten times as long.
     fn hold_on_lines(&mut self, at: (i32, i32), most: f32) -> HeldCrossing {
         let is_suspect = self.grid.get(at.0, at.1).is_none_or(|node| node.tight);
         let is_near = |off: f32| off <= WELL_WITHIN * most;
@@ -171,7 +170,7 @@ impl TargetDetector {
         self.hold(at, most)
     }
 
-    /// Makes guesses of the crossings in `held`, for the refinement.
+    /// Sets `guesses` to the crossings in `held`, for the refinement.
     pub(super) fn take_guesses(&mut self) {
         self.guesses.clear();
         let reach = self.sheets.reach();
@@ -188,14 +187,14 @@ impl TargetDetector {
         }
     }
 
-    /// Refines `guesses`. True where corners are where the whole print is most like the image.
+    /// Refines `guesses`. Returns true if all corners come from aligning the whole print.
     pub(super) fn refine_guesses(&mut self, image: GrayView<'_>, label: BoardLabel) -> bool {
         let corners = self.guesses.iter().map(|it| (it.index.col, it.index.row)).collect();
         let mut print = LabeledPrint::new(&self.sheets, label, &mut self.grid, corners);
         self.refiner.refine_printed(image, &self.guesses, Some(&mut print), &mut self.refined)
     }
 
-    /// Refines all crossings of `grid`; those that are none are taken out.
+    /// Refines all crossings of `grid`, and removes those that are no crossings.
     fn refine(&mut self, image: GrayView<'_>, label: BoardLabel) {
         let limits = self.thresholds.marker_corners;
         self.grid.members.sort_unstable_by_key(|&(i, j)| (j, i));
@@ -225,8 +224,8 @@ impl TargetDetector {
         }
     }
 
-    /// Drops crossings that were not refined and lie farther from where their neighbors put them
-    /// than their standard deviation lets expect: an occluder's edge passes for one of theirs.
+    /// Drops crossings that were not refined and whose distance from their neighbors' prediction is
+    /// too large for their standard deviation: the edge of an occluder may pass for one of theirs.
     fn drop_displaced(&mut self) {
         let unrefined = self.guesses.iter().zip(&self.refined).filter(|(_, it)| it.is_none());
         let unrefined = unrefined.map(|(it, _)| (it.index.col, it.index.row));
@@ -235,8 +234,7 @@ impl TargetDetector {
         displaced.into_iter().for_each(|(i, j)| self.grid.remove(i, j));
     }
 
-    /// Drops of the crossings in `held` those that a search would not answer unless it refined
-    /// them.
+    /// Drops those crossings in `held` that a search would report only after refining them.
     pub(super) fn drop_unfit(&mut self) {
         let limits = self.thresholds.marker_corners;
         let most_px = (limits.most_standing_off * limits.standing_std_px) as f32;
@@ -251,7 +249,7 @@ impl TargetDetector {
         self.held = held;
     }
 
-    /// Whether a crossing that is not refined lies too far from where its neighbors put it.
+    /// Whether a crossing that is not refined is too far from where its neighbors predict it.
     pub(super) fn is_displaced(&mut self, at: (i32, i32)) -> bool {
         let limits = self.thresholds.marker_corners;
         let most_px = (limits.most_standing_off * limits.standing_std_px) as f32;
@@ -269,7 +267,7 @@ impl TargetDetector {
         let mut corners: Vec<LabeledCorner> = Vec::with_capacity(self.guesses.len());
         for (guess, refined) in self.guesses.iter().zip(&self.refined) {
             let GridIndex { col: i, row: j } = guess.index;
-            // Of one that is not refined, where it was found the last time.
+            // A corner that is not refined is reported where it was last found.
             let Some(found) = self.grid.pixel(i, j) else { continue };
             blurs.extend(refined.map(|refined| refined.blur_px));
             let found = Pixel::new(f64::from(found.x), f64::from(found.y));
@@ -286,7 +284,7 @@ impl TargetDetector {
         self.answer(label, corners, blurs)
     }
 
-    /// The corner of the board that lies at (i, j) of the grid.
+    /// The corner of the board at (i, j) of the grid.
     pub(super) fn labeled(
         &self,
         label: BoardLabel,
@@ -299,7 +297,7 @@ impl TargetDetector {
         LabeledCorner { id, index: GridIndex { col, row }, pixel, std_px }
     }
 
-    /// The detection of these corners of the board that lies as `label` says.
+    /// The detection with these corners, of the board that lies as in `label`.
     pub(super) fn answer(
         &self,
         label: BoardLabel,

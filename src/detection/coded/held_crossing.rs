@@ -1,20 +1,20 @@
-//! What is known of a crossing from the others of its lattice.
+//! A crossing compared with its prediction by the others of its lattice.
 
 use crate::detection::measure::cross::Vec2;
 
-/// A crossing held against where the others put it.
+/// A crossing, and its distance from where the others predict it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct HeldCrossing {
     pub(super) at: (i32, i32),
-    /// How far off it is, in narrow intervals, more of a suspect one.
+    /// That distance, in narrow intervals; scaled up for a suspect crossing.
     pub(super) off: f32,
     /// The same in pixels, along each axis of the image.
     pub(super) off_px: f32,
     /// One unit of the lattice along each axis.
     pub(super) steps: Option<[Vec2; 2]>,
-    /// Within how many lines the others decide on all this.
+    /// The number of lines within which other crossings affect the prediction.
     pub(super) reach: i32,
-    /// None of these was dropped since.
+    /// Whether none of these crossings was dropped since.
     pub(super) is_current: bool,
 }
 

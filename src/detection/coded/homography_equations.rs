@@ -1,20 +1,21 @@
-//! The normal equations of a homography's eight numbers, h₃₃ = 1.
+//! The normal equations of a homography's eight parameters, with h₃₃ = 1.
 //!
-//! The first three numbers say nothing of y and the next three nothing of x, and both see the same
-//! places: a third of the equations is zero, and a third is there twice. What is zero is left out
-//! and what is there twice is solved once, in the order in which Cholesky's method has it.
+//! The first three parameters affect only x and the next three only y, and both have the same
+//! places: a third of the equations is zero, and a third occurs twice. Zeros are left out, and what
+//! occurs twice is solved once, in the order of Cholesky's method.
 
-/// Sums over pairs of a place and its pixel. Four sums that one factor multiplies lie beside each
-/// other: a processor adds them at once.
+/// Sums over pairs of a place and its pixel. Four sums with a common factor are adjacent, so that a
+/// processor adds them at once.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct HomographyEquations {
-    /// Of the three numbers of an axis with each of themselves, by the second; the last is empty.
+    /// Products of the three parameters of an axis with each other, by the second; the last lane is
+    /// empty.
     places: [[f64; 4]; 3],
-    /// Of those three, and for each of them of the last two numbers, each by axis.
+    /// Products of those three with the last two parameters, each by axis.
     slanted: [[f64; 4]; 3],
-    /// Of the last two among each other: the lower half.
+    /// Products of the last two with each other: the lower triangle.
     slants: [[f64; 2]; 2],
-    /// By axis; the last is empty.
+    /// Right-hand sides by axis; the last lane is empty.
     right: [[f64; 4]; 2],
     right_of_slants: [f64; 2],
 }
@@ -28,7 +29,7 @@ fn add(sums: &mut [f64; 4], terms: [f64; 4], factor: f64) {
 }
 
 impl HomographyEquations {
-    /// No pairs yet, but the assumption with so much weight that there is no perspective.
+    /// No pairs yet; only the prior, with this weight, that there is no perspective.
     pub(super) fn flat(weight: f64) -> Self {
         Self { slants: [[weight, 0.0], [0.0, weight]], ..Self::default() }
     }
@@ -55,10 +56,11 @@ impl HomographyEquations {
         }
     }
 
-    /// The eight numbers; `None` if the pairs do not determine them.
+    /// The eight parameters; `None` if the pairs do not determine them.
     pub(super) fn solve(self) -> Option<[f64; 8]> {
         let Self { places, slanted, slants: mut last, right, right_of_slants: mut g } = self;
-        // The lower half of the three numbers' sums, and the others by number, axis and term.
+        // The lower triangle of the three parameters' sums; and the rows below it, by parameter,
+        // axis and term.
         let mut l = [0, 1, 2].map(|row| [0, 1, 2].map(|col| places[col][row]));
         let mut below = [0, 1].map(|a| [0, 1].map(|k| [0, 1, 2].map(|b| slanted[b][2 * a + k])));
         let mut h = right.map(|[a, b, c, _]| [a, b, c]);
@@ -116,7 +118,7 @@ impl HomographyEquations {
     }
 }
 
-/// The square root of what is above zero.
+/// The square root of a positive value.
 fn root(value: f64) -> Option<f64> {
     (value > 0.0).then(|| value.sqrt())
 }

@@ -1,5 +1,5 @@
-//! Which place of the board a lattice lies at: as its markers say, and the ends of the board where
-//! two places are alike.
+//! Locates a lattice on the board: by its markers, and by the ends of the board where two places
+//! fit equally.
 
 use std::ops::Range;
 
@@ -9,7 +9,7 @@ use crate::detection::coded::labels::{BestLabel, BoardLabel, BoardLabels, contra
 use crate::imaging::gray::GrayView;
 
 impl TargetDetector {
-    /// Reads the markers of `grid`, first as cells of the way in which the board was `expected`.
+    /// Reads the markers of `grid`, first in the way in which the board was `expected`.
     pub(super) fn label(
         &mut self,
         view: GrayView<'_>,
@@ -46,8 +46,8 @@ impl TargetDetector {
         }
     }
 
-    /// In which ways cells may be read: inverted or not, and the sheets, those together that differ
-    /// in their cells alone. The one of the `expected` label comes first.
+    /// The ways in which cells may be read: inverted or not, and which sheets; sheets that differ
+    /// only in their cells are read together. The way of the `expected` label comes first.
     fn readings(&self, expected: Option<BoardLabel>) -> Vec<(bool, Range<usize>)> {
         let inversions: &[bool] = if self.sheets.alternates() { &[false] } else { &[false, true] };
         let mut readings = Vec::with_capacity(4);
@@ -78,7 +78,7 @@ impl TargetDetector {
         contradicted_around(sheet, &self.reading, label)
     }
 
-    /// Of two places alike the one whose ends are seen.
+    /// Chooses between two places that fit equally by the board's ends.
     fn by_ends(&mut self, view: GrayView<'_>, labels: BoardLabels) -> BoardLabels {
         let BoardLabels::Two(first, second) = labels else { return labels };
         let lattice = LatticeInImage {
@@ -92,7 +92,7 @@ impl TargetDetector {
     }
 }
 
-/// The more certain of two.
+/// The more certain of two results.
 fn better(one: BoardLabels, other: BoardLabels) -> BoardLabels {
     match (one, other) {
         (BoardLabels::One(a), BoardLabels::One(b)) if b.significance > a.significance => other,

@@ -10,13 +10,13 @@ use crate::detection::tracking::last_corners::LastCorners;
 pub(super) struct LastTarget {
     /// Its corners, in the board's order.
     pub(super) corners: LastCorners,
-    /// Of each, one unit of the lattice along each axis of the grid.
+    /// For each corner, one unit of the lattice along each axis of the grid.
     pub(super) steps: Vec<[Vec2; 2]>,
-    /// How it lay in the grid, and the grid's colors.
+    /// Its placement in the grid, and whether the grid's first square is bright.
     pub(super) label: Option<(BoardLabel, bool)>,
-    /// On which level of the image it was found.
+    /// The level of the image on which it was found.
     pub(super) level: usize,
-    /// Whether it was found at a scale that the pyramid lacks.
+    /// Whether it was found at a scale between the levels of the pyramid.
     pub(super) between: bool,
     /// Images since the last one that showed it.
     pub(super) missed: u32,
@@ -27,7 +27,7 @@ pub(super) struct LastTarget {
 }
 
 impl LastTarget {
-    /// There is none any more.
+    /// Forgets the board: the last image showed none.
     pub(super) fn forget(&mut self) {
         self.corners.forget();
         self.label = None;

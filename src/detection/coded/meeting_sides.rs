@@ -1,13 +1,13 @@
-//! Corners behind something small, where the sides of their squares meet.
+//! Corners hidden by a small occluder, located where the sides of their squares meet.
 //!
-//! A ball, a clip or a highlight on a corner leaves nothing of its crossing, but most of the sides
-//! that meet in it. Each side is measured across in several places, against the line that the
-//! crossings around it predict; a straight line through these offsets says how far off the side is
-//! at the corner, and must lead to the known corner in which the side ends: the edge of something
-//! in front of the board does not.
+//! A ball, a clip or a highlight on a corner hides its crossing, but leaves most of the sides that
+//! meet in it. Each side is measured across at several places, relative to the line that the
+//! crossings around it predict. A straight line through these offsets gives the offset of the side
+//! at the corner. The line must also lead to the known corner at the other end of the side, which
+//! the edge of an occluder does not.
 //!
-//! The same sides are measured at corners that are known: they say by how much blur and gamma move
-//! an edge towards black, and how exact all this is.
+//! The same sides are measured at known corners. These show how far blur and gamma displace an edge
+//! towards black, and the accuracy of the method.
 
 use crate::detection::board_detection::GridIndex;
 use crate::detection::coded::chart::{Chart, ChartPair};
@@ -24,18 +24,18 @@ use crate::detection::thresholds::Thresholds;
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
 
-/// How far to either side an edge is sampled, in standard deviations of the blur, beside one pixel:
-/// blur leaves black and white alone there.
+/// How far to either side an edge is sampled, in standard deviations of the blur, plus one pixel:
+/// there it is entirely black or white.
 const BLURS: f32 = 3.0;
-/// What a corner that is covered errs by beside the scatter of its sides, in pixels along an axis:
-/// 68 of hard sets have 0.09 in all, and scatter alone states as little as 0.02: what covers a
-/// corner may cover part of its sides too.
+/// Standard deviation of a hidden corner in addition to the scatter of its sides, in pixels along
+/// an axis: 68 of hard sets have 0.09 in all, and scatter alone states as little as 0.02. What
+/// hides a corner may hide part of its sides too.
 const COVERED_STD_PX: f64 = 0.1;
-/// Known corners that are measured, and offsets of their sides that are enough to go by.
+/// The most known corners that are measured, and the least number of offsets of their sides.
 const REFERENCES: usize = 12;
 const ENOUGH_OFFSETS: usize = 8;
 
-/// A corner where sides meet.
+/// A corner located by its sides.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct MeetingPoint {
     pub at: GridIndex,
@@ -43,18 +43,18 @@ pub(super) struct MeetingPoint {
     pub std_px: f64,
 }
 
-/// A side as it was measured.
+/// A measured side.
 #[derive(Debug, Clone, Copy)]
 struct MeasuredSide {
-    /// From the prediction at the corner, and from the corner in which it ends.
+    /// Offsets from the prediction at the corner, and from the known corner at its other end.
     line: EdgeLine,
-    /// Whether the square beyond it, along the axis that crosses it, is bright: 1, or −1.
+    /// 1 if the square beyond it, along the axis that crosses it, is bright, else −1.
     bright: f32,
 }
 
 impl MeasuredSide {
-    /// Its offset at the corner if an edge is displaced so far towards what is bright, and it ends
-    /// in the known corner.
+    /// Its offset at the corner, given that edges are displaced by `bias_px` towards bright, and
+    /// that it ends in the known corner.
     fn pinned(&self, bias_px: f32) -> Offset {
         let bias_px = bias_px * self.bright;
         let EdgeLine { here, there, covariance } = self.line;
@@ -66,18 +66,18 @@ impl MeasuredSide {
     }
 }
 
-/// What the sides of known corners say.
+/// The scatter of the sides of known corners.
 #[derive(Debug, Clone, Copy)]
 struct SideScatter {
-    /// How far an edge is displaced towards what is bright.
+    /// How far edges are displaced towards bright.
     bias_px: f32,
-    /// Standard deviation of one place, where nothing is wrong.
+    /// Robust standard deviation of one place, without outliers.
     common_px: f32,
-    /// The same with what is wrong at some of them.
+    /// Standard deviation of one place, including outliers.
     std_px: f32,
 }
 
-/// Measures sides; its buffers are kept.
+/// Measures sides; its buffers are reused.
 #[derive(Debug, Default)]
 pub(super) struct MeetingSides {
     pairs: Vec<ChartPair>,
@@ -86,7 +86,7 @@ pub(super) struct MeetingSides {
     sorted: Vec<f32>,
 }
 
-/// What is measured.
+/// The image and the lattice to measure in.
 #[derive(Clone, Copy)]
 struct SideScene<'a> {
     image: GrayView<'a>,
@@ -98,32 +98,32 @@ struct SideScene<'a> {
     half_px: (f32, f32),
 }
 
-/// A corner and what is around it.
+/// A corner with its surroundings.
 struct CornerChart {
     at: (i32, i32),
     chart: Chart,
-    /// Where it is predicted, and one unit of the lattice along each axis there.
+    /// Its predicted pixel, and one unit of the lattice along each axis there.
     pixel: Vec2,
     steps: [Vec2; 2],
 }
 
 impl SideScene<'_> {
-    /// Whether the corner is missing and a side on each of its lines leads to a known one.
+    /// Whether the corner is missing, and on each of its lines a side leads to a known corner.
     fn is_between_known(&self, i: i32, j: i32) -> bool {
         let known =
             |axis| [1, -1].into_iter().any(|way| self.side_length(i, j, axis, way).is_some());
         self.grid.holds(i, j) && self.grid.pixel(i, j).is_none() && known(0) && known(1)
     }
 
-    /// How long the side is that leads from the corner along an axis, in units of the lattice, if
-    /// it is one of a marker's square and ends in a known corner.
+    /// The length of the side that leads from the corner along an axis, in units of the lattice, if
+    /// it belongs to a marker's square and ends in a known corner.
     fn side_length(&self, i: i32, j: i32, axis: usize, way: i32) -> Option<f32> {
         let (line, (k, l)) = if axis == 0 { (i, (i + way, j)) } else { (j, (i, j + way)) };
         let is_of_marker = line.min(line + way).rem_euclid(2) == 0 || !self.sheets.alternates();
         self.grid.pixel(k, l).filter(|_| is_of_marker).map(|_| self.sheets.widths[0])
     }
 
-    /// Where the corner is predicted from those around it.
+    /// Predicts the corner from those around it.
     fn corner(&self, at: (i32, i32), pairs: &mut Vec<ChartPair>) -> Option<CornerChart> {
         let chart = Chart::near(self.grid, self.sheets, at, Some(at), pairs)?;
         let (x, y) = (self.sheets.line(at.0), self.sheets.line(at.1));
@@ -133,7 +133,7 @@ impl SideScene<'_> {
 }
 
 impl CornerChart {
-    /// Across a side that leads along an axis: a unit vector towards the other axis's end.
+    /// A unit vector across a side that leads along an axis, towards the end of the other axis.
     fn across(&self, axis: usize) -> Vec2 {
         let [along, other] = [self.steps[axis], self.steps[1 - axis]];
         let across = Vec2::new(-along.y, along.x) / along.norm().max(1e-3);
@@ -142,7 +142,7 @@ impl CornerChart {
 }
 
 impl MeetingSides {
-    /// The corners of the board that are not in `grid`, where their sides meet.
+    /// The corners of the board that are missing in `grid` and whose sides meet.
     pub(super) fn points(
         &mut self,
         image: GrayView<'_>,
@@ -193,7 +193,7 @@ impl MeetingSides {
         points
     }
 
-    /// Measures a side of the corner.
+    /// Measures one side of the corner.
     fn side(
         &mut self,
         scene: SideScene<'_>,
@@ -238,7 +238,7 @@ impl MeetingSides {
         Some(MeasuredSide { line, bright })
     }
 
-    /// What the sides of known corners say; `None` if there are too few.
+    /// Measures the scatter at known corners; `None` if there are too few.
     fn scatter(&mut self, scene: SideScene<'_>) -> Option<SideScatter> {
         self.references.clear();
         let members = &scene.grid.members;
@@ -272,7 +272,7 @@ impl MeetingSides {
         Some(SideScatter { bias_px, common_px, std_px })
     }
 
-    /// Where the sides of the corner meet, and the standard deviation of that.
+    /// The point where the sides of the corner meet, with its standard deviation.
     fn meet(
         &mut self,
         scene: SideScene<'_>,
@@ -293,7 +293,7 @@ impl MeetingSides {
     }
 }
 
-/// How far off a line is of which one side or both are measured; `None` if they contradict each
+/// The offset of a line of which one or both sides are measured; `None` if these contradict each
 /// other.
 fn combined(sides: [Option<MeasuredSide>; 2], scatter: SideScatter) -> Option<Offset> {
     let pinned = |side: MeasuredSide| side.pinned(scatter.bias_px);
@@ -309,7 +309,7 @@ fn combined(sides: [Option<MeasuredSide>; 2], scatter: SideScatter) -> Option<Of
 }
 
 impl SideScatter {
-    /// Whether an offset may be chance.
+    /// Whether chance explains an offset.
     fn is_none(&self, offset: Offset) -> bool {
         offset.px.abs() <= OUTLYING * self.common_px * offset.variance.sqrt()
     }

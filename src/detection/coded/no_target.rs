@@ -1,9 +1,9 @@
-//! Why no target with markers is answered.
+//! Why no target with markers is reported.
 
 /// Why no target is reported.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum NoTarget {
-    /// Smaller than any target can be found in.
+    /// The image is too small for any target.
     #[error("the image of {width}x{height} pixels is too small to hold a {target}")]
     ImageTooSmall {
         /// The image's width, in pixels.
@@ -13,7 +13,7 @@ pub enum NoTarget {
         /// What was searched for.
         target: String,
     },
-    /// No lattice of crossings.
+    /// Crossings do not form a lattice.
     #[error(
         "{corners} crossings of black and white seen, but no lattice of them; is the {target} in view, flat and not too small?"
     )]
@@ -23,7 +23,7 @@ pub enum NoTarget {
         /// What was searched for.
         target: String,
     },
-    /// A lattice whose cells hold no marker of the target.
+    /// A lattice whose cells show no marker of the target.
     #[error(
         "a lattice of {cols}x{rows} corners is seen, but its cells show no markers of the {target}: a plain chessboard, another dictionary or another board?"
     )]
@@ -35,27 +35,27 @@ pub enum NoTarget {
         /// What was searched for.
         target: String,
     },
-    /// Markers that are not where the target has them.
+    /// Markers at places where the target does not have them.
     #[error(
         "a board with {markers} markers of the same dictionary is seen, but not in the places that the {target} has them: check its size, first_id and dictionary"
     )]
     OtherBoard {
-        /// How many markers say so.
+        /// How many markers show that.
         markers: usize,
         /// What was searched for.
         target: String,
     },
-    /// The target's markers as a mirror shows them.
+    /// The mirror image of the target's markers.
     #[error(
         "{markers} markers of the {target} are seen in mirror image: have the camera or its driver not flip the image"
     )]
     Mirrored {
-        /// How many markers say so.
+        /// How many markers show that.
         markers: usize,
         /// What was searched for.
         target: String,
     },
-    /// A board with markers that was recognized, but another.
+    /// Another board with markers was recognized.
     #[error("a {seen} is seen, not the {target}: give the target that is seen, or show the other")]
     Recognized {
         /// What is seen.
@@ -63,12 +63,12 @@ pub enum NoTarget {
         /// What was searched for.
         target: String,
     },
-    /// Markers that fit two places alike.
+    /// Markers that fit two places equally.
     #[error(
         "{markers} markers of the {target} are seen, but the part in view fits two places on it: show one of its ends, or state its layout (\"legacy\": true or false)"
     )]
     TwoPlaces {
-        /// How many markers say so.
+        /// How many markers show that.
         markers: usize,
         /// What was searched for.
         target: String,

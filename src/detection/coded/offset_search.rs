@@ -1,8 +1,8 @@
-//! How a board moved since the last image: crossings are searched for around a few of its corners,
-//! and those that moved alike say how all of them did.
+//! The motion of a board since the last image: crossings are searched for around a few of its
+//! corners, and those that moved alike give the motion of all.
 //!
-//! The nearest crossing may be another corner of the board, or one inside a marker. It is the
-//! agreement of corners far from each other that distinguishes them, and after that the markers.
+//! The nearest crossing may be another corner of the board, or one inside a marker. The consistency
+//! of corners far from each other distinguishes them, and after that the markers do.
 
 use nalgebra::{Matrix2, Matrix3, Vector3};
 
@@ -14,14 +14,14 @@ use crate::detection::search::response::{REACH, Response};
 use crate::detection::thresholds::markers::MarkerTrackingThresholds;
 use crate::imaging::gray::GrayView;
 
-/// Half the side of the window in which a candidate is measured: no candidate is found nearer to
-/// the border of what is searched.
+/// Half the side of the window in which a candidate is measured: there are no candidates closer to
+/// the border of the searched patch.
 const MARGIN: usize = 2 * REACH;
 
 /// A corner around which crossings are searched for.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ReferenceCorner {
-    /// Where it is predicted.
+    /// Its predicted position.
     pub expected: Vec2,
     /// The narrow interval between lines along each axis there.
     pub cell: [Vec2; 2],
@@ -29,15 +29,15 @@ pub(super) struct ReferenceCorner {
     pub polarity: f32,
 }
 
-/// A crossing that may be a reference.
+/// A crossing that may be a reference corner.
 #[derive(Debug, Clone, Copy)]
 struct ReferenceCandidate {
     reference: usize,
-    /// From its prediction.
+    /// Its offset from the prediction.
     off: Vec2,
 }
 
-/// How far predictions are off, over the image.
+/// The offset of predictions, as a linear function over the image.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PredictionOffset {
     middle: Vec2,
@@ -45,7 +45,7 @@ pub(super) struct PredictionOffset {
     slope: Matrix2<f32>,
 }
 
-/// Searches for crossings around references; its buffers are kept.
+/// Searches for crossings around reference corners; its buffers are reused.
 #[derive(Debug, Default)]
 pub(super) struct OffsetSearch {
     pyramid: Pyramid,
@@ -55,17 +55,17 @@ pub(super) struct OffsetSearch {
 }
 
 impl PredictionOffset {
-    /// How far a corner is from where it is `expected`.
+    /// The offset of a corner from where it is `expected`.
     pub(super) fn at(&self, expected: Vec2) -> Vec2 {
         self.off + self.slope * (expected - self.middle)
     }
 
-    /// What becomes of steps of the last image.
+    /// The steps of the last image, scaled to this one.
     pub(super) fn stretched(&self, steps: [Vec2; 2]) -> [Vec2; 2] {
         steps.map(|step| step + self.slope * step)
     }
 
-    /// The offsets of `chosen` by least squares; the steeper a slope, the less likely it is.
+    /// Fits the offsets of `chosen` by least squares, with a prior that favors small slopes.
     fn fitted_to(
         references: &[ReferenceCorner],
         chosen: &[ReferenceCandidate],
@@ -91,8 +91,8 @@ impl PredictionOffset {
 }
 
 impl OffsetSearch {
-    /// How the board moved, by what is seen on `level` of the image around `references`; `None` if
-    /// too few of them moved alike.
+    /// The motion of the board, from crossings on `level` of the image around `references`; `None`
+    /// if too few of these moved alike.
     pub(super) fn search(
         &mut self,
         probe: Probe<'_>,
@@ -116,7 +116,7 @@ impl OffsetSearch {
             }
         }
         let mut offset = None;
-        // The second fit is to what is nearest to the first.
+        // The second fit is to the crossings closest to the first fit.
         for _ in 0..2 {
             if best.len() < least.max(3) {
                 return None;
@@ -130,7 +130,7 @@ impl OffsetSearch {
         offset.filter(|_| best.len() >= least)
     }
 
-    /// Collects the crossings around a reference that are like it.
+    /// Collects the crossings around a reference corner that resemble it.
     fn search_around(
         &mut self,
         probe: Probe<'_>,
@@ -158,8 +158,8 @@ impl OffsetSearch {
         }
     }
 
-    /// Of each reference the one that is nearest to where `expected` has it (an offset, and
-    /// the tolerance in cells and in pixels), if that is within the tolerance.
+    /// For each reference corner, the crossing closest to its offset by `expected` (the offset, and
+    /// the tolerance in cells and in pixels), if it is within the tolerance.
     fn near(
         &self,
         references: &[ReferenceCorner],
@@ -187,7 +187,7 @@ impl OffsetSearch {
     }
 }
 
-/// The part of `image` within `half` pixels of `center`, and where it starts.
+/// The part of `image` within `half` pixels of `center`, and its origin.
 fn patch_of(image: GrayView<'_>, center: Vec2, half: f32) -> Option<(GrayView<'_>, Vec2)> {
     let range = |center: f32, size: usize| {
         let from = (center - half).floor().clamp(0.0, size as f32) as usize;
@@ -204,7 +204,7 @@ fn patch_of(image: GrayView<'_>, center: Vec2, half: f32) -> Option<(GrayView<'_
     Some((patch, Vec2::new(left as f32, top as f32)))
 }
 
-/// Whether the edges of a crossing run as those of the reference, bright where its are.
+/// Whether the edges of a crossing have the directions and the polarity of the reference corner's.
 fn is_alike(candidate: &Candidate, reference: &ReferenceCorner, most_rotation: f32) -> bool {
     candidate.has_edges(edges_along(reference.cell, reference.polarity), most_rotation)
 }

@@ -1,5 +1,5 @@
-//! A square of which three corners are candidates: the fourth is searched for where the edges of
-//! its neighbors meet.
+//! A square of which three corners are candidates: the fourth is searched for at the intersection
+//! of the edges from its neighbors.
 
 use crate::detection::coded::detector::TargetDetector;
 use crate::detection::coded::lattice::{LatticeScene, settle};
@@ -10,9 +10,10 @@ use crate::detection::search::seeds::Seed;
 use crate::imaging::gray::GrayView;
 
 impl TargetDetector {
-    /// The square of three candidates, the first of them and a quarter about it given as `at`,
-    /// whose fourth corner is too blurred to be a candidate, or a gap separates the squares that
-    /// meet there; `None` if no crossing is measured there either. The fourth becomes a candidate.
+    /// The square of three candidates; `at` gives the first of them and a quarter around it. Its
+    /// fourth corner is no candidate, either since it is too blurred, or since a gap separates the
+    /// squares that meet there. `None` if no crossing is measured there. The fourth corner becomes
+    /// a candidate.
     pub(super) fn close(
         &mut self,
         view: GrayView<'_>,
@@ -41,8 +42,8 @@ impl TargetDetector {
                 && in_steps(node.pixel - open.fourth, [a - first, b - first])
                     .is_some_and(|off| off.amax() <= thresholds.lattice.most_off)
         };
-        // The directions of edges are known to some degrees, and a window finds a crossing within
-        // half its width.
+        // The directions of edges are accurate to some degrees, and a window finds a crossing
+        // within half its width.
         let spacing_px = 0.5 * thresholds.lattice.most_reach_px;
         let mut places: Vec<(i32, i32)> =
             (-2..=2).flat_map(|y| (-2..=2).map(move |x| (x, y))).collect();

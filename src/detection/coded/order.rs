@@ -1,19 +1,20 @@
-//! Which candidates a lattice is grown from first: those whose squares reach far.
+//! The order in which lattices are grown from candidates: those whose squares extend farthest come
+//! first.
 //!
 //! A marker's payload is full of crossings of its own. Around them nothing is regular beyond one
-//! payload cell, while a crossing of the board has the same black (of an inverted board white) on
-//! both sides as far as a square or a marker's border reaches.
+//! payload cell, while a crossing of the board has the same black (on an inverted board white) on
+//! both sides as far as a square or a marker's border extends.
 
 use crate::detection::measure::cross::Vec2;
 use crate::detection::measure::edges::sample;
 use crate::detection::search::candidates::Candidate;
 use crate::imaging::gray::GrayView;
 
-/// Distances from a crossing at which its squares are sampled, along their diagonals in pixels:
-/// from just outside a blurred crossing, each about 4/3 of the one before.
+/// Distances from a crossing at which its squares are sampled, along their diagonals in pixels: the
+/// first is just outside a blurred crossing, and each is about 4/3 of the previous one.
 const SQUARE_DISTANCES_PX: [f32; 8] = [4.0, 5.5, 7.5, 10.0, 13.5, 18.0, 24.0, 32.0];
 
-/// Fills `order` with the indices of `candidates`, those whose squares reach farthest first.
+/// Fills `order` with the indices of `candidates`, those whose squares extend farthest first.
 pub(super) fn by_reach(
     image: GrayView<'_>,
     candidates: &[Candidate],
@@ -24,7 +25,7 @@ pub(super) fn by_reach(
     order.sort_unstable_by_key(|&(reach, index)| (usize::MAX - reach, index));
 }
 
-/// How many of the distances both dark squares reach, or both bright ones.
+/// The number of distances to which both dark squares extend, or both bright ones.
 fn reach(image: GrayView<'_>, candidate: &Candidate) -> usize {
     let [first, second] = candidate.edges;
     let (bright, dark) = (first + second, first - second);
@@ -47,7 +48,7 @@ fn reach(image: GrayView<'_>, candidate: &Candidate) -> usize {
     };
     let [bright, dark] = [bright, dark].map(|way| way / way.norm().max(1e-3));
     let of_dark = run(dark, -1.0);
-    // The bright ones matter only where they reach farther.
+    // The bright squares matter only where they extend farther.
     match SQUARE_DISTANCES_PX.get(of_dark) {
         Some(&farther) if reaches(bright, 1.0, farther) => of_dark.max(run(bright, 1.0)),
         _ => of_dark,

@@ -1,11 +1,12 @@
-//! The search at scales that the pyramid lacks, where its levels show no target.
+//! The search at scales that the pyramid does not have, if its levels show no target.
 
 use crate::detection::coded::detector::{FoundTarget, LatticeSearch, TargetDetector, Unlabeled};
 use crate::detection::search::between::BetweenLevel;
 use crate::imaging::gray::GrayView;
 
 impl TargetDetector {
-    /// The target at scales that the pyramid lacks, in the order of their cost.
+    /// The target at scales that the pyramid does not have; they are tried in the order of their
+    /// cost.
     pub(super) fn find_between(
         &mut self,
         image: GrayView<'_>,

@@ -1,4 +1,4 @@
-//! The print of a labeled board, as the refinement of its corners wants it.
+//! The print of a labeled board, in the form that the refinement of its corners takes.
 
 use std::collections::HashSet;
 
@@ -12,11 +12,11 @@ use crate::detection::measure::cross::Vec2;
 use crate::detection::refine::print::BoardPrint;
 use crate::geometry::pixel::Pixel;
 
-/// Parts of an interval that are none.
+/// A narrower interval, as a fraction of the interval between lines, is empty.
 const NO_WIDTH: f64 = 1e-6;
 
-/// Intervals between lines beyond which no print is rendered, and half the widest sample, in
-/// intervals: near the horizon of a chart both are without bounds.
+/// The distance in intervals beyond which no print is rendered, and half the width of the widest
+/// sample, in intervals: near the horizon of a chart both are unbounded.
 const FAR: f64 = 1000.0;
 const WIDE: f64 = 2.0;
 
@@ -26,19 +26,19 @@ pub(super) struct LabeledPrint<'a> {
     sheet: &'a Sheet,
     label: BoardLabel,
     grid: &'a mut Grid,
-    /// Where edges may lie in an interval between two lines, as parts of it, in order.
+    /// Positions of edges in an interval between two lines, as fractions of it, in order.
     edges: Vec<f64>,
-    /// Made when the print is put for the first time: most boards need none.
+    /// Created when the print is placed for the first time: most boards do not need it.
     integral: Option<PrintIntegral>,
     pairs: Vec<ChartPair>,
-    /// The grid's indices of the corners in the order in which they are refined.
+    /// The grid's indices of the corners, in the order in which they are refined.
     corners: Vec<(i32, i32)>,
-    /// For each corner, from the image to the lattice near it.
+    /// For each corner, the map from the image to the lattice near it.
     charts: Vec<Option<CurvedChart>>,
 }
 
 impl<'a> LabeledPrint<'a> {
-    /// The print of the board that lies in `grid` as `label` says; `corners`: the grid's indices.
+    /// The print of the board that lies in `grid` as in `label`; `corners` are the grid's indices.
     pub(super) fn new(
         sheets: &'a Sheets,
         label: BoardLabel,
@@ -89,7 +89,7 @@ impl<'a> LabeledPrint<'a> {
         }
     }
 
-    /// The print's means.
+    /// The integral of the print.
     fn integral(&self) -> PrintIntegral {
         let [cols, rows] = self.sheet.lines;
         let ends = [(-1, -1), (cols - 1, rows - 1)]
@@ -108,7 +108,7 @@ impl<'a> LabeledPrint<'a> {
         PrintIntegral::new(lines, paper, |x, y| self.is_bright(x, y))
     }
 
-    /// The interval between lines in which a place lies, and how far along it, 0 to 1.
+    /// The interval between lines that contains a place, and the position in it, 0 to 1.
     fn cell(&self, x: f64) -> (i32, f64) {
         let [wide, narrow] = self.sheets.widths.map(f64::from);
         let pitch = wide + narrow;
@@ -119,13 +119,13 @@ impl<'a> LabeledPrint<'a> {
     }
 }
 
-/// Whether a rectangle lies near the horizon of its chart.
+/// Whether a rectangle is near the horizon of its chart.
 fn is_far([x, y]: [f64; 2], [half_x, half_y]: [f64; 2]) -> bool {
     let is_near = |at: f64, half: f64| at.abs() < FAR && half < WIDE;
     !(is_near(x, half_x) && is_near(y, half_y))
 }
 
-/// Where edges may lie in an interval between two lines, as parts of it, in order.
+/// Positions of edges in an interval between two lines, as fractions of it, in order.
 fn edges_of(sheets: &Sheets, sheet: &Sheet) -> Vec<f64> {
     let (inset, margin) = (f64::from(sheet.inset), f64::from(sheets.margin));
     let bits =

@@ -1,10 +1,10 @@
 //! Integrals of a print over rectangles, by a summed-area table (F. C. Crow: Summed-area tables for
 //! texture mapping, 1984).
 //!
-//! The table's nodes lie on the print's own edges. Between them the print is constant, so that
+//! The table's nodes are on the print's own edges. Between them the print is constant, so
 //! interpolation in the table is exact.
 
-/// Buckets for each node by which the node below a place is found.
+/// Buckets per node, by which the node before a position is found.
 const BUCKETS: usize = 2;
 
 /// A print of brightness −1 and 1.
@@ -18,19 +18,20 @@ pub(super) struct PrintIntegral {
     paper: f64,
 }
 
-/// Where edges may lie along one axis.
+/// The positions of edges along one axis.
 #[derive(Debug)]
 struct EdgeLines {
     /// In increasing order.
     nodes: Vec<f64>,
-    /// For each of equal parts of the way between the outermost nodes, the last node before it.
+    /// For equal parts of the range between the outermost nodes: the last node before each.
     buckets: Vec<u32>,
     buckets_a_unit: f64,
 }
 
 impl PrintIntegral {
-    /// Of a print whose edges lie on lines at `across` and `down`, two or more each in increasing
-    /// order, and that is bright where `is_bright` says; beyond the outermost lines it is `paper`.
+    /// The integral of a print with edges on the lines `across` and `down` (two or more each, in
+    /// increasing order) that is bright where `is_bright` is true; beyond the outermost lines its
+    /// brightness is `paper`.
     pub(super) fn new(
         [across, down]: [Vec<f64>; 2],
         paper: f64,
@@ -50,7 +51,7 @@ impl PrintIntegral {
         Self { across: EdgeLines::new(across), down: EdgeLines::new(down), sums, paper }
     }
 
-    /// The mean over the rectangle that reaches `half` to each side of `at`.
+    /// The mean over the rectangle that extends `half` to each side of `at`.
     pub(super) fn mean(&self, at: [f64; 2], half: [f64; 2]) -> f64 {
         let (left, right) = (self.across.find(at[0] - half[0]), self.across.find(at[0] + half[0]));
         let (above, below) = (self.down.find(at[1] - half[1]), self.down.find(at[1] + half[1]));
@@ -72,7 +73,7 @@ impl PrintIntegral {
     }
 }
 
-/// A place between a node and the next one.
+/// A position between a node and the next one.
 #[derive(Debug, Clone, Copy)]
 struct Between {
     node: usize,
@@ -98,7 +99,7 @@ impl EdgeLines {
         Self { nodes, buckets, buckets_a_unit }
     }
 
-    /// Where `place` lies, or the outermost node that is nearest to it.
+    /// The interval that contains `place`; outside, the nearest end.
     fn find(&self, place: f64) -> Between {
         let nodes = &self.nodes;
         let at = place.clamp(nodes[0], nodes[nodes.len() - 1]);

@@ -1,4 +1,4 @@
-//! What the cells of a lattice show, and how well that agrees with each marker.
+//! Reads the cells of a lattice, and correlates each with the code of every marker.
 
 use std::ops::RangeInclusive;
 
@@ -9,14 +9,14 @@ use crate::detection::measure::edges::sample;
 use crate::detection::thresholds::markers::LabelThresholds;
 use crate::imaging::gray::GrayView;
 
-/// Known corners of a cell that is read.
+/// The number of known corners of a cell that is read.
 const WELL_KNOWN: RangeInclusive<usize> = 3..=4;
-/// The same in a lattice with fewer than `FEW_CELLS` of those: of one square that fills the image
-/// the cells around it share an edge each.
+/// The same in a lattice with fewer than `FEW_CELLS` such cells: if one square fills the image, the
+/// cells around it share only an edge with it.
 const BARELY_KNOWN: RangeInclusive<usize> = 2..=4;
-/// The same of the cells around a lattice.
+/// The same for the cells around a lattice.
 const AROUND: RangeInclusive<usize> = 2..=2;
-/// Cells that are certain by themselves: below that many none is left out.
+/// With fewer cells than this, cells with fewer known corners are read as well.
 const FEW_CELLS: usize = 3;
 
 /// A cell that may hold a marker.
@@ -24,25 +24,25 @@ const FEW_CELLS: usize = 3;
 pub(super) struct MarkerCell {
     /// Its place in the grid.
     pub at: (i32, i32),
-    /// How deep its pattern is, to 1: the weight of what it says.
+    /// The relative contrast of its pattern, up to 1, as a weight.
     pub weight: f32,
 }
 
-/// Reads cells; its buffers are kept.
+/// Reads cells; its buffers are reused.
 #[derive(Debug, Default)]
 pub(super) struct MarkerReading {
-    /// What readings are held to.
+    /// The thresholds of readings.
     pub limits: LabelThresholds,
     /// The cells that were read.
     pub cells: Vec<MarkerCell>,
-    /// For each cell, marker and quarter turn: correlation with its code; as many for each cell as
-    /// the sheet's columns of codes have.
+    /// For each cell, marker and quarter turn: the correlation with its code; each cell has as many
+    /// values as the padded columns of codes.
     agreement: Vec<f32>,
     codes: usize,
-    /// The best of each cell.
+    /// The best correlation of each cell.
     best: Vec<f32>,
     values: Vec<f32>,
-    /// Of the payload of a cell: its columns, each where its cells are sampled.
+    /// For the payload of a cell: its columns, at the positions where its cells are sampled.
     columns: Vec<[ChartLine; 4]>,
     pairs: Vec<ChartPair>,
 }
@@ -53,8 +53,8 @@ impl MarkerReading {
         Self { limits, ..Self::default() }
     }
 
-    /// Reads all cells of `grid` that are bright, or dark, as `in_bright` has it, at least three of
-    /// whose corners are known, as cells of `sheet`.
+    /// Reads all cells of `grid` that are bright, or dark, according to `in_bright`, as cells of
+    /// `sheet`: those with at least three known corners, and if these are few, those with two.
     pub(super) fn read(
         &mut self,
         image: GrayView<'_>,
@@ -71,7 +71,7 @@ impl MarkerReading {
         }
     }
 
-    /// Reads the cells around `grid`, which share an edge with it.
+    /// Reads the cells around `grid` that share an edge with it.
     pub(super) fn read_around(
         &mut self,
         image: GrayView<'_>,
@@ -82,7 +82,7 @@ impl MarkerReading {
         self.read_known(image, of, grid, (in_bright, AROUND));
     }
 
-    /// Reads the cells of which so many corners are known.
+    /// Reads the cells with this many known corners.
     fn read_known(
         &mut self,
         image: GrayView<'_>,
@@ -119,7 +119,8 @@ impl MarkerReading {
         self.best.extend(self.agreement.chunks_exact(self.codes.max(1)).map(best));
     }
 
-    /// Samples the payload of a cell into `values`, made a zero-mean unit vector; how deep it was.
+    /// Samples the payload of a cell into `values`, normalized to a zero-mean unit vector; returns
+    /// its standard deviation before.
     fn sample(
         &mut self,
         image: GrayView<'_>,
@@ -148,20 +149,22 @@ impl MarkerReading {
     }
 
     fn compare(&mut self, sheets: &Sheets, at: (i32, i32), depth: f32, contrast: f32) {
-        // A pattern of black and white in equal parts has a deviation of half its contrast.
+        // A pattern of black and white in equal parts has a standard deviation of half its
+        // contrast.
         let depth = 2.0 * depth / contrast.max(1.0);
         let weight = (depth / self.limits.least_payload_contrast).min(1.0).powi(2);
         self.cells.push(MarkerCell { at, weight });
         sheets.columns.compare(&self.values, &mut self.agreement);
     }
 
-    /// How well the `cell`-th cell agrees with `marker` rotated by so many quarter turns, −1 to 1.
+    /// The correlation of the `cell`-th cell with `marker` rotated by this many quarter turns, −1
+    /// to 1.
     pub(super) fn agreement(&self, cell: usize, marker: u32, quarter_turns: u8) -> f32 {
         let slot = cell * self.codes + marker as usize * 4 + usize::from(quarter_turns);
         self.agreement.get(slot).copied().unwrap_or(0.0)
     }
 
-    /// The best agreement of the `cell`-th cell with any marker in any rotation.
+    /// The best correlation of the `cell`-th cell with any marker in any rotation.
     pub(super) fn best(&self, cell: usize) -> f32 {
         self.best.get(cell).copied().unwrap_or(-1.0)
     }

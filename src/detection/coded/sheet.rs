@@ -1,60 +1,60 @@
-//! What a target prints, in the sheet's own frame: lines of crossings, x right and y down from the
-//! upper left one, and cells between them.
+//! What a target prints, in the sheet's own frame: lines of crossings, with x to the right and y
+//! down from the upper left one, and the cells between them.
 
 use crate::detection::coded::code_columns::CodeColumns;
 use crate::geometry::dictionary::Dictionary;
 use crate::geometry::target::{AprilGrid, CharucoBoard, Target};
 
-/// Where a cell of a marker's code is sampled, as parts of its sides.
+/// The positions at which a cell of a marker's code is sampled, as fractions of its sides.
 pub(super) const IN_CODE_CELL: [(f32, f32); 4] =
     [(0.35, 0.5), (0.65, 0.5), (0.5, 0.35), (0.5, 0.65)];
 
 /// One way in which a target may be printed.
 #[derive(Debug, Clone)]
 pub(super) struct Sheet {
-    /// Lines of crossings across and down.
+    /// The number of lines of crossings across and down.
     pub lines: [i32; 2],
-    /// Which marker lies in a cell, row by row from cell (−1, −1).
+    /// The marker in each cell, row by row from cell (−1, −1).
     markers: Vec<Option<u32>>,
-    /// How many markers there are.
+    /// The number of markers.
     pub count: usize,
-    /// Where in its cell a marker's payload starts, as a part of the cell's side.
+    /// The start of a marker's payload in its cell, as a fraction of the cell's side.
     pub inset: f32,
-    /// How well markers agree with their codes, in the mean, that are printed in another way and
-    /// read in this one.
+    /// The mean correlation with their codes of markers that are printed in another way but read in
+    /// this one.
     pub mistaken: f32,
-    /// Of a ChArUco board.
+    /// The layout of a ChArUco board.
     pub legacy: Option<bool>,
-    /// Of an AprilGrid.
+    /// The border of an AprilGrid's tags.
     pub border_bits: Option<u32>,
 }
 
-/// All ways in which it may be printed, and what they share.
+/// All ways in which a target may be printed, and what they share.
 #[derive(Debug, Clone)]
 pub(super) struct Sheets {
     /// The ways.
     pub ways: Vec<Sheet>,
-    /// Widths of the intervals between lines: of those after even lines and after odd ones, in
+    /// Widths of the intervals between lines, those after even lines and those after odd ones, in
     /// units of the first.
     pub widths: [f32; 2],
     /// Cells along a payload's side.
     pub bits: usize,
-    /// Markers lie in bright cells (of a board that is not inverted).
+    /// Whether markers are in bright cells (on a board that is not inverted).
     pub in_bright: bool,
-    /// How far white or black reaches from a crossing undisturbed, in units of the lattice.
+    /// How far a crossing is undisturbed by other edges, in units of the lattice.
     pub room: f32,
-    /// Where in its cell a marker starts, as a part of the cell's side.
+    /// The start of a marker in its cell, as a fraction of the cell's side.
     pub margin: f32,
-    /// The codes as zero-mean unit vectors over the payload in the grid's own axes: for each
-    /// marker and quarter turn.
+    /// The codes as zero-mean unit vectors over the payload in the grid's own axes, for each marker
+    /// and quarter turn.
     pub codes: Vec<f32>,
-    /// The same by payload cell.
+    /// The same, arranged by payload cell.
     pub columns: CodeColumns,
 }
 
 impl Sheet {
-    /// Agreement of a label's cells from which on no other way can have printed them: half of the
-    /// way from those that are mistaken to a perfect one.
+    /// The correlation of a label's cells from which on no other way can have printed them: halfway
+    /// between mistaken markers and perfect ones.
     pub(super) fn certain(&self) -> f32 {
         (1.0 + self.mistaken) / 2.0
     }
@@ -79,7 +79,7 @@ impl Sheet {
 }
 
 impl Sheets {
-    /// The ways in which `target` may be printed; `None` of a target without markers.
+    /// The ways in which `target` may be printed; `None` for a target without markers.
     pub(super) fn of(target: &Target) -> Option<Self> {
         match target {
             Target::Chessboard(_) => None,
@@ -123,7 +123,7 @@ impl Sheets {
         let (cols, rows) = (grid.cols as i32, grid.rows as i32);
         let way = |border: u32| {
             let inset = tag_inset(border, bits);
-            // Numbered from the lowest row.
+            // AprilGrids are numbered from the lowest row.
             let cells =
                 (0..rows).flat_map(|row| (0..cols).map(move |col| (2 * col, 2 * (rows - 1 - row))));
             Sheet { border_bits: Some(border), ..Sheet::of([2 * cols, 2 * rows], inset, cells) }
@@ -156,7 +156,7 @@ impl Sheets {
         }
     }
 
-    /// Whether lines lie at alternating distances.
+    /// Whether the distances between lines alternate.
     pub(super) fn alternates(&self) -> bool {
         self.widths[0] != self.widths[1]
     }
@@ -166,27 +166,27 @@ impl Sheets {
         0.5 * (self.widths[0] + self.widths[1])
     }
 
-    /// Where line `k` lies, in units of the lattice.
+    /// The position of line `k`, in units of the lattice.
     pub(super) fn line(&self, k: i32) -> f32 {
         let pairs = k.div_euclid(2) as f32 * (self.widths[0] + self.widths[1]);
         if k.rem_euclid(2) == 0 { pairs } else { pairs + self.widths[0] }
     }
 }
 
-/// Where in its square the payload of `bits` cells a side starts, of a marker with a border of one
-/// cell whose side is `ratio` of the square's, as a part of the square's side.
+/// The start of a payload of `bits` × `bits` cells in its square, as a fraction of the square's
+/// side, for a marker with a border of one cell whose side is `ratio` of the square's.
 pub(super) fn charuco_inset(ratio: f32, bits: usize) -> f32 {
     (1.0 - ratio) / 2.0 + ratio / (bits + 2) as f32
 }
 
-/// The same of a tag with a border of so many cells, as a part of the tag's side.
+/// The same for a tag with a border of this many cells, as a fraction of the tag's side.
 pub(super) fn tag_inset(border: u32, bits: usize) -> f32 {
     border as f32 / (bits as u32 + 2 * border) as f32
 }
 
 /// The vectors of `count` markers from `first` on, each as it appears in the grid's axes if the
-/// sheet is rotated by 0 to 3 quarters from +x to +y; `printed`: quarters by which they are
-/// printed.
+/// sheet is rotated by 0 to 3 quarter turns from +x to +y; `printed` is the rotation in which they
+/// are printed, in quarter turns.
 fn codes(dictionary: &Dictionary, first: usize, count: usize, printed: usize) -> Vec<f32> {
     let n = dictionary.bits();
     let mut codes = Vec::with_capacity(count * 4 * n * n);
@@ -206,10 +206,10 @@ fn codes(dictionary: &Dictionary, first: usize, count: usize, printed: usize) ->
     codes
 }
 
-/// The mean agreement with their codes of markers that are printed with the payload at one inset
-/// and read with it at another.
+/// The mean correlation with their codes of markers whose payload is printed at one inset but read
+/// at another.
 fn mistaken(codes: &[f32], bits: usize, [read, printed]: [f32; 2]) -> f32 {
-    // The cell of the print, of so many, in which a part of a cell that is read lies.
+    // The cell of the print that contains the fraction `part` of the cell that is read.
     let cell = |index: usize, part: f32| {
         let step = |inset: f32| (1.0 - 2.0 * inset) / bits as f32;
         let place = (read + (index as f32 + part) * step(read) - printed) / step(printed);
@@ -230,13 +230,13 @@ fn mistaken(codes: &[f32], bits: usize, [read, printed]: [f32; 2]) -> f32 {
         unit(&mut seen);
         code.iter().zip(&seen).map(|(a, b)| a * b).sum::<f32>()
     };
-    // The rotations of a code agree alike.
+    // All rotations of a code have the same correlation.
     let upright = codes.chunks_exact(bits * bits).step_by(4);
     upright.clone().map(agreement).sum::<f32>() / upright.count().max(1) as f32
 }
 
-/// Takes the mean off and scales to length 1; returns the length before. All zero if that is
-/// nothing.
+/// Subtracts the mean and scales to length 1; returns the length before. The vector becomes zero if
+/// that length is nearly zero.
 pub(super) fn unit(values: &mut [f32]) -> f32 {
     let mean = values.iter().sum::<f32>() / values.len().max(1) as f32;
     let length = values.iter().map(|value| (value - mean) * (value - mean)).sum::<f32>().sqrt();

@@ -1,10 +1,10 @@
-//! The board in the next image of a stream, near where it was in the last one: at a fraction of the
-//! cost of a search.
+//! Finds the board in the next image of a stream, near its position in the last one: at a fraction
+//! of the cost of a search.
 //!
-//! Each corner is measured where its motion and that of a few others (`offset`) predict it. The
-//! markers are read again and must say the same place in the board by themselves, with the evidence
-//! that a search needs, and each corner must lie where the others put it. Otherwise the whole image
-//! is searched.
+//! Each corner is measured where its own motion and that of a few others (`offset_search`) predict
+//! it. The markers are read again: by themselves they must give the same place on the board, with
+//! the evidence that a search needs. Each corner must be where the others predict it. Otherwise the
+//! whole image is searched.
 
 use crate::detection::coded::answer::TargetDetection;
 use crate::detection::coded::detector::TargetDetector;
@@ -23,11 +23,12 @@ use crate::detection::tracking::sampled::{keep_spread, measured_std_px};
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
 
-/// References lie nearest to so many points along each side of what was seen of the board.
+/// Reference corners are the nearest ones to this many points along each side of the visible part
+/// of the board.
 const REFERENCES_A_SIDE: usize = 3;
 
-/// Of images of a stream without a target, one in this many is searched at all scales: it takes
-/// several times as long, and what is held before a camera stays for a second.
+/// Of the images of a stream without a target, one in this many is searched at all scales: that
+/// takes several times as long, and a target in front of a camera stays for a second.
 const OTHER_SCALES_EVERY: u32 = 8;
 
 /// A target in a stream of images.
@@ -64,7 +65,7 @@ impl TargetDetector {
         searched.map(|found| TrackedTarget { detection: found.detection, followed: false })
     }
 
-    /// Keeps the corners of the board that was answered just now.
+    /// Remembers the corners of the board that was just found.
     fn remember(&mut self, label: BoardLabel, level: usize, blur_px: f64) {
         let [across, down] = self.sheets.ways[label.way].lines;
         let Self { last, grid, guesses, sheets, .. } = self;
@@ -86,7 +87,7 @@ impl TargetDetector {
         (last.level, last.blur_px) = (level, blur_px as f32);
     }
 
-    /// The board near its last position; `None` if it must be searched for.
+    /// Tracks the board near its last position; `None` if it must be searched for.
     fn follow(&mut self, image: GrayView<'_>) -> Option<(TargetDetection, BoardLabel)> {
         let (label, bright) = self.last.label?;
         if image.width().min(image.height()) < self.thresholds.lattice.least_side_px {
@@ -112,7 +113,7 @@ impl TargetDetector {
         Some((detection, seen))
     }
 
-    /// The corners as they were measured, held against each other as after a search; a few are
+    /// Reports the corners as measured, verified against each other as after a search; a few are
     /// refined, to estimate the blur and the error of the others.
     fn report_measured(
         &mut self,
@@ -139,8 +140,8 @@ impl TargetDetector {
         Some(self.answer(label, corners, blurs))
     }
 
-    /// Fills the grid with the corners that are found where they are predicted. False if too many
-    /// are not.
+    /// Fills the grid with the corners that are found at their predictions. Returns false if too
+    /// many are not.
     fn measure_moved(
         &mut self,
         image: GrayView<'_>,
@@ -182,7 +183,7 @@ impl TargetDetector {
         grid.members.len() as f32 >= thresholds.marker_tracking.least_kept * count as f32
     }
 
-    /// How far the corners are from their predictions.
+    /// The offset of the corners from their predictions.
     fn offset(
         &mut self,
         image: GrayView<'_>,
@@ -209,7 +210,7 @@ impl TargetDetector {
     }
 }
 
-/// The crossing again, in a window of so many pixels that no other edge reaches into.
+/// Measures the crossing again, in a window of at most this many pixels that no other edge reaches.
 fn exact(node: Node, scene: LatticeScene<'_>, [u, v]: [Vec2; 2], reach_px: f32) -> Node {
     let reach = scene.thresholds.reach * scene.sheets.room;
     let window = CrossWindow::on_board(node.pixel, u, v, reach, reach_px);
@@ -221,14 +222,14 @@ fn exact(node: Node, scene: LatticeScene<'_>, [u, v]: [Vec2; 2], reach_px: f32) 
     }
 }
 
-/// Where corner `index`, last seen at `pixel`, is now, if it goes on as it moved.
+/// The position of corner `index`, last seen at `pixel`, if it keeps moving as before.
 fn expected(corners: &LastCorners, index: usize, pixel: Vec2, with_motion: bool) -> Vec2 {
     let motion = corners.motion(index).filter(|_| with_motion);
     pixel + motion.unwrap_or_else(Vec2::zeros)
 }
 
-/// One unit of the lattice along each axis, as the neighbors of a corner have it, which lie so many
-/// units off.
+/// One unit of the lattice along each axis, from the neighbors of a corner, which are `reach` units
+/// away.
 fn steps_of(guess: &GridCorner, reach: f32) -> [Vec2; 2] {
     let at = |neighbor: usize| {
         let Pixel { x, y } = guess.neighbors[neighbor].unwrap_or(guess.pixel);
@@ -237,7 +238,7 @@ fn steps_of(guess: &GridCorner, reach: f32) -> [Vec2; 2] {
     [(at(0) - at(2)) / (2.0 * reach), (at(1) - at(3)) / (2.0 * reach)]
 }
 
-/// Corners far from each other, of a board of so many columns.
+/// Corners far from each other, on a board with this many columns.
 fn spread(corners: &LastCorners, across: i32) -> Vec<usize> {
     let place = |index: usize| [index as i32 % across, index as i32 / across];
     let (mut least, mut most) = ([i32::MAX; 2], [i32::MIN; 2]);

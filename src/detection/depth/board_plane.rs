@@ -1,5 +1,5 @@
 //! The board's surface in a depth image: small patches inside its outline, each with its own noise,
-//! without what is off the plane.
+//! without those off the plane.
 //!
 //! A plane's 1/z is linear over a pinhole image, so each patch is a linear fit; lens distortion
 //! within one patch is far below its noise.
@@ -12,14 +12,14 @@ use crate::geometry::median::median;
 use crate::geometry::pixel::Pixel;
 use crate::imaging::depth_image::DepthImage;
 
-/// How the board's surface is measured.
+/// Options of the measurement of a board's surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlaneOptions {
-    /// The reading that means none, besides 0 for metric depth.
+    /// The value that means no reading, besides 0 for metric depth.
     pub invalid: Option<u16>,
-    /// About how many patches. Default: 150.
+    /// Approximate number of patches. Default: 150.
     pub tiles: u32,
-    /// Patches farther than this part of the depth from the common plane are rejected. Default:
+    /// Patches whose relative distance from the common plane is greater are rejected. Default:
     /// 0.05.
     pub tolerance: f64,
 }
@@ -62,7 +62,7 @@ pub enum NoPlane {
     },
 }
 
-/// Readings of all patches are trimmed at this many standard deviations.
+/// Readings of a patch that are farther from its plane, in standard deviations, are trimmed.
 const TRIM: f64 = 3.5;
 
 /// Measures the surface inside `outline` (a closed polygon in pixels of the depth image), seen
@@ -120,7 +120,7 @@ struct Span {
 }
 
 /// One span per row from the outline's top to its bottom, clipped to the image. A board's outline
-/// is convex but for lens distortion: its outermost crossings bound each row.
+/// is convex except for lens distortion: its outermost crossings bound each row.
 fn spans_inside(outline: &[Pixel], image: &DepthImage) -> Vec<Span> {
     let size = image.size();
     let finite = outline.len() >= 3 && outline.iter().all(|pixel| pixel.is_finite());
@@ -151,7 +151,7 @@ fn spans_inside(outline: &[Pixel], image: &DepthImage) -> Vec<Span> {
         .collect()
 }
 
-/// Collects (x, y, 1/z) of the readings in a patch; answers how many pixels of it lie inside the
+/// Collects (x, y, 1/z) of the readings in a patch; returns how many of its pixels lie inside the
 /// outline.
 fn gather(
     image: &DepthImage,
@@ -178,8 +178,8 @@ fn gather(
     inside
 }
 
-/// A plane through the samples of a patch, trimmed twice; `None` where they are too few or on a
-/// line.
+/// Fits a plane to the samples of a patch, trimmed twice; `None` where there are too few or they
+/// are on a line.
 pub(super) fn fit_tile(samples: &mut Vec<[f64; 3]>) -> Option<DepthTile> {
     let mut last = None;
     for _ in 0..3 {
@@ -254,7 +254,7 @@ fn keep_plane(tiles: &mut Vec<DepthTile>, lens: &Lens, tolerance: f64) {
     tiles.retain(|_| deviations.next().is_some_and(|deviation| deviation <= tolerance));
 }
 
-/// Triples tried: with a third of the tiles off the plane, all but one in 10⁷ images draw a triple
+/// Triples tried: with a third of the tiles off the plane, all but one in 10⁷ images get a triple
 /// of inliers.
 const TRIPLES: usize = 50;
 

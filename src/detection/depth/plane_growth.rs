@@ -1,10 +1,10 @@
 //! The flat surface that a board lies on: a plate, a table, a wall. A board covers a small part of
-//! most depth images; its support often covers all of one, and determines what the board alone does
-//! not.
+//! most depth images; its support often covers the whole image, and determines what the board alone
+//! cannot.
 //!
-//! Patches are added from the board outwards, each only next to one that was added, tested by its
-//! own noise, its slope and its distance from the common plane. An edge, a gap or a step ends the
-//! surface.
+//! Patches are added from the board outwards, each next to one already added. A patch is tested by
+//! its own noise, its slope and its distance from the common plane. An edge, a gap or a step ends
+//! the surface.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -15,19 +15,20 @@ use crate::geometry::median::median;
 use crate::geometry::pixel::Pixel;
 use crate::imaging::depth_image::DepthImage;
 
-/// About how many patches cover an image.
+/// Approximate number of patches that cover an image.
 const PATCHES: f64 = 400.0;
 
-/// A patch continues its neighbor if it differs from the plane between them by at most this many
-/// standard deviations of both, and this part of 1/z: the systematic error changes by less from
-/// patch to patch.
+/// A patch continues its neighbor if their deviations from the common plane differ by at most this
+/// many standard deviations of both, plus this fraction of 1/z: the systematic error changes by
+/// less from patch to patch.
 const STEP: [f64; 2] = [4.0, 0.0015];
 
-/// A patch whose readings scatter this many times as much as the board's has an edge in it.
+/// A patch whose readings scatter more than this many times as much as the board's contains an
+/// edge.
 const ROUGH: f64 = 1.6;
 
-/// Neighboring readings are correlated: a patch's mean is taken as no better than this many
-/// standard deviations of one reading.
+/// Neighboring readings are correlated: the standard deviation of a patch's mean is at least this
+/// fraction of that of one reading.
 const LEAST_READING_STDS: f64 = 0.1;
 
 /// One patch of the image.
@@ -58,8 +59,8 @@ pub fn grow_plane(
             [cell % across * side, cell / across * side],
             side,
         )?;
-        // Quantization alone leaves a patch along a step without scatter: only more scatter is
-        // suspect.
+        // With quantization alone, a patch along a step of depth has no scatter, so only greater
+        // scatter is suspect.
         let step = reading.inverse_depth_step(tile.inverse_depth);
         (tile.reading_std <= ROUGH * median_std.hypot(0.5 * step)).then_some(())?;
         Some(PlanePatch { tile, ray: ray(lens, tile.pixel)? })
@@ -112,7 +113,7 @@ pub fn grow_plane(
     grown
 }
 
-/// The 1/z of a plane at its rays, by least squares: n of n · ray = 1/z.
+/// Sums for a least squares plane: n of n · ray = 1/z.
 #[derive(Default)]
 struct PlaneSums {
     square: Matrix3<f64>,
@@ -148,7 +149,8 @@ fn neighbors(cell: usize, across: usize, down: usize) -> impl Iterator<Item = us
     [left, right, above, below].into_iter().flatten()
 }
 
-/// The patch with this corner; `None` where a quarter of its readings is missing.
+/// The patch with this top left corner; `None` where more than a quarter of its readings is
+/// missing.
 fn measure(
     image: &DepthImage,
     reading: DepthReading,

@@ -1,9 +1,9 @@
-//! Prediction of a corner on a board that lens distortion curves: a second-order surface through
-//! the corners around it.
+//! Predicts a corner on a board that lens distortion curves: by a second-order surface through the
+//! corners around it.
 //!
-//! Needs a 3×3 neighborhood: it can fill in, not extrapolate beyond the outermost line. Over a few
-//! squares a second-order surface follows even a full fisheye, where continuing the last step, or a
-//! homography, is off by a quarter of a square.
+//! Needs a 3×3 neighborhood: it can interpolate, not extrapolate beyond the outermost line. Over a
+//! few squares a second-order surface follows even a full fisheye, where repeating the last step,
+//! or a homography, is off by a quarter of a square.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -17,8 +17,8 @@ const TERMS: usize = 6;
 /// Minimum corners of a fit.
 const FEWEST: usize = TERMS + 2;
 
-/// Prediction of the corner (i, j) of `grid` without its own measurement; `None` if too few corners
-/// are around it.
+/// The predicted position of the corner (i, j) of `grid` without its own measurement; `None` if
+/// there are too few corners around it.
 pub(in crate::detection) fn predict_on_curve(grid: &Grid, i: i32, j: i32) -> Option<Vec2> {
     let mut normal = SMatrix::<f32, TERMS, TERMS>::zeros();
     let mut right = SMatrix::<f32, TERMS, 2>::zeros();

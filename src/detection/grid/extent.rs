@@ -1,4 +1,4 @@
-//! How the extent of a grid compares with the board searched for.
+//! Compares the extent of a grid with the board searched for.
 
 use crate::detection::grid::{Bounds, Grid};
 use crate::detection::thresholds::chessboard::SearchThresholds;
@@ -30,12 +30,14 @@ pub(in crate::detection) fn exceeds(bounds: Bounds, board: BoardSize) -> bool {
         || shorter(bounds) > board.cols.min(board.rows) + 2
 }
 
-/// More corners than any grid of `board` has, one spurious line allowed on each side.
+/// One more than the number of corners of the largest grid of `board`, with one spurious line on
+/// each side.
 pub(in crate::detection) fn most_corners(board: BoardSize) -> usize {
     (board.cols as usize + 2) * (board.rows as usize + 2) + 1
 }
 
-/// Least corners of a reported part: a small board that the image border crops gives the same grid.
+/// Least corners of a partial board: fewer could be any board, also a small one cropped by the
+/// image border.
 pub(in crate::detection) fn least_part(board: BoardSize, thresholds: &SearchThresholds) -> usize {
     let least = thresholds.least_part;
     least.max((board.corner_count() * 2 / 5).min(2 * least))

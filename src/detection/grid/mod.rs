@@ -1,4 +1,4 @@
-//! Corners by their index in a regular grid, and the prediction of the next one.
+//! Corners by their index in a regular grid, and the prediction of further corners.
 //!
 //! The grid's axes i and j run from +x to +y like the image's. Square (i, j) lies between the
 //! corners (i, j) and (i + 1, j + 1); squares with i + j even are all bright or all dark.
@@ -9,13 +9,13 @@ pub(in crate::detection) mod perspective;
 
 use crate::detection::measure::cross::Vec2;
 
-/// Most corners a grid reaches from its first one, in any direction.
+/// The greatest distance of a grid's corners from its first one, in indices.
 pub(in crate::detection) const LARGEST_RADIUS: i32 = 104;
-/// How often a position may be searched without success.
+/// How many searches at one position may fail.
 const MOST_ATTEMPTS: u8 = 4;
 
-/// Steps along a line that predict the step at a position: how far off, on which parallel line,
-/// starting where; nearest first.
+/// Steps along a line from which the step at a position is predicted: the distance, which parallel
+/// line, and the start; nearest first.
 const STEPS_NEARBY: [(i32, i32, i32); 22] = [
     (0, 0, 0),
     (0, 0, -1),
@@ -44,15 +44,15 @@ const STEPS_NEARBY: [(i32, i32, i32); 22] = [
 /// A corner of the grid.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::detection) struct Node {
-    /// Where, in pixels of the level.
+    /// Its position, in pixels of the level.
     pub pixel: Vec2,
-    /// Bright less dark around it, in gray levels.
+    /// Bright minus dark around it, in gray levels.
     pub contrast: f32,
-    /// The same very near to it: less, the more blur there is.
+    /// The same in its immediate vicinity: the more blur, the smaller.
     pub near_contrast: f32,
     /// Correlation with a chessboard corner, at most 1.
     pub score: f32,
-    /// Only its immediate surroundings show a corner: something occludes part of the rest.
+    /// Only its immediate vicinity shows a corner: something occludes part of the rest.
     pub tight: bool,
 }
 
@@ -88,7 +88,7 @@ impl Bounds {
     }
 }
 
-/// Corners by index. Memory is kept from grid to grid.
+/// Corners by index. Buffers are reused from grid to grid.
 #[derive(Debug, Clone, Default)]
 pub(in crate::detection) struct Grid {
     radius: i32,
@@ -121,7 +121,7 @@ impl Grid {
 
     #[inline]
     fn slot(&self, i: i32, j: i32) -> Option<usize> {
-        // Below −radius wraps to far beyond the side.
+        // An index below −radius wraps around to a large number.
         let (x, y, side) =
             ((i + self.radius) as u32, (j + self.radius) as u32, (2 * self.radius + 1) as u32);
         (x < side && y < side)
@@ -171,7 +171,7 @@ impl Grid {
         }
     }
 
-    /// Takes the corner (i, j) out.
+    /// Removes the corner (i, j).
     pub(in crate::detection) fn remove(&mut self, i: i32, j: i32) {
         if let Some(slot) = self.slot(i, j)
             && self.places[slot].node.take().is_some()
@@ -180,8 +180,8 @@ impl Grid {
         }
     }
 
-    /// Whether to search (i, j): within the grid, not a corner yet, not searched too often. Counts
-    /// the search.
+    /// Whether to search at (i, j): within the grid, not a corner yet, not searched too often.
+    /// Counts the search.
     pub(in crate::detection) fn attempt(&mut self, i: i32, j: i32) -> bool {
         let Some(slot) = self.slot(i, j) else { return false };
         let place = &mut self.places[slot];
@@ -195,7 +195,7 @@ impl Grid {
         true
     }
 
-    /// Makes `into` what a mirror shows of it: i and j exchanged.
+    /// Sets `into` to the mirror image of this grid: i and j exchanged.
     pub(in crate::detection) fn mirror(&self, into: &mut Self) {
         into.clear(self.radius, self.bright);
         for &(i, j) in &self.members {
@@ -205,19 +205,19 @@ impl Grid {
         }
     }
 
-    /// Forgets the searches without success: another level may show more.
+    /// Forgets the failed searches: another level may show more.
     pub(in crate::detection) fn forget_attempts(&mut self) {
         for &slot in &self.touched {
             self.places[slot].attempts = 0;
         }
     }
 
-    /// Sign of the contrast that a window with its axes along i and j has at corner (i, j).
+    /// The sign of the contrast at corner (i, j) in a window with its axes along i and j.
     pub(in crate::detection) fn polarity(&self, i: i32, j: i32) -> f32 {
         if ((i + j) & 1 == 0) == self.bright { 1.0 } else { -1.0 }
     }
 
-    /// The rectangle that holds all corners; `None` of none.
+    /// The rectangle of all corners; `None` if there are none.
     pub(in crate::detection) fn bounds(&self) -> Option<Bounds> {
         let &(i, j) = self.members.first()?;
         let start = Bounds { i: (i, i), j: (j, j) };
@@ -232,14 +232,14 @@ impl Grid {
         self.bounds_of_lines(|corners, _| corners > 1)
     }
 
-    /// The same rectangle without lines at its sides of which less than half is there: corners of
-    /// what lies beside the board.
+    /// The same rectangle without lines at its sides of which less than half is known: these are
+    /// corners of something next to the board.
     pub(in crate::detection) fn filled_bounds(&self) -> Option<Bounds> {
         self.bounds_of_lines(|corners, length| 2 * corners >= length)
     }
 
-    /// The same rectangle without lines at its sides that are no part of it, by how many corners
-    /// they hold and could.
+    /// The same rectangle without lines at its sides that `is_part` rejects, given how many corners
+    /// a line has and how many it could have.
     fn bounds_of_lines(&self, is_part: fn(usize, usize) -> bool) -> Option<Bounds> {
         let mut bounds = self.bounds()?;
         let (rows, cols) = (bounds.height() as usize, bounds.width() as usize);
@@ -261,7 +261,7 @@ impl Grid {
         Some(bounds)
     }
 
-    /// Whether all four corners of a square at (i, j) are known and unoccluded.
+    /// Whether the four corners of some square at (i, j) are known and unoccluded.
     pub(in crate::detection) fn is_anchored(&self, i: i32, j: i32) -> bool {
         let clear = |i: i32, j: i32| self.get(i, j).is_some_and(|node| !node.tight);
         let squares = [(1, 1), (-1, 1), (-1, -1), (1, -1)];
@@ -271,7 +271,8 @@ impl Grid {
                 .any(|(di, dj)| clear(i + di, j) && clear(i, j + dj) && clear(i + di, j + dj))
     }
 
-    /// From (i, j) to the next corner along i and along j, from the nearest that are known.
+    /// The steps from (i, j) to the next corner along i and along j, from the nearest known
+    /// corners.
     pub(in crate::detection) fn steps(&self, i: i32, j: i32) -> Option<[Vec2; 2]> {
         Some([self.step(i, j, 1, 0)?, self.step(i, j, 0, 1)?])
     }
@@ -323,7 +324,7 @@ impl Grid {
         (weight > 0.0).then(|| sum / weight)
     }
 
-    /// Takes the positions to the level below, twice as fine.
+    /// Scales the positions to the level below, which is twice as fine.
     pub(in crate::detection) fn descend(&mut self) {
         for place in &mut self.places {
             if let Some(node) = &mut place.node {
@@ -333,8 +334,8 @@ impl Grid {
     }
 }
 
-/// The step after `second` (older) and `first` (newer) on a line seen in perspective, where places
-/// are α + β/(n + γ): if r is the ratio of two steps, the next ratio is (1 + r)/(3 − r).
+/// The step that follows `second` (older) and `first` (newer) on a line seen in perspective, where
+/// positions are α + β/(n + γ): if r is the ratio of two steps, the next ratio is (1 + r)/(3 − r).
 fn projective_step(first: Vec2, second: Vec2) -> Vec2 {
     let ratio = first.norm() / second.norm().max(1e-3);
     let ratio = ratio.clamp(0.5, 2.0);

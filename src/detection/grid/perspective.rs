@@ -1,5 +1,5 @@
-//! Prediction of corners far from all known ones: the homography of the whole board, corrected by
-//! the nearest corners for lens distortion.
+//! Predicts corners far from all known ones: by the homography of the whole board, corrected for
+//! lens distortion with the residuals of the nearest corners.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -60,7 +60,7 @@ impl Perspective {
         Some(Self { h, middle, mean, scale })
     }
 
-    /// Where the homography puts the grid's point (i, j); `None` behind the camera.
+    /// The pixel of the grid's point (i, j) by the homography; `None` behind the camera.
     pub(in crate::detection) fn at(&self, i: f32, j: f32) -> Option<Vec2> {
         let (i, j) = (f64::from(i) - self.middle.0, f64::from(j) - self.middle.1);
         let h = &self.h;
@@ -71,8 +71,8 @@ impl Perspective {
         })
     }
 
-    /// Prediction of the corner (i, j) of `grid`: the homography plus the nearest known corners'
-    /// residuals.
+    /// The predicted position of the corner (i, j) of `grid`: by the homography plus the residuals
+    /// of the nearest known corners.
     pub(in crate::detection) fn predict(&self, grid: &Grid, i: i32, j: i32) -> Option<Vec2> {
         self.predict_by(grid, i, j, |_, _| true)
     }
@@ -119,7 +119,7 @@ impl Perspective {
         Some(off.x.abs().max(off.y.abs()))
     }
 
-    /// From (i, j) to the next corner along i and along j.
+    /// The steps from (i, j) to the next corner along i and along j.
     pub(in crate::detection) fn steps(&self, i: i32, j: i32) -> Option<[Vec2; 2]> {
         let (i, j) = (i as f32, j as f32);
         Some([

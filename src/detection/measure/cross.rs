@@ -1,9 +1,9 @@
-//! A small window laid over the image along two edges: is this where four chessboard squares meet,
-//! and where exactly?
+//! Measures a small window along two edges of the image: do four chessboard squares meet in it, and
+//! where exactly?
 //!
-//! The window is a parallelogram whose sides follow the board's edges, so a slanted board is
-//! square in it. Six by six samples are compared with the pattern sign(a·b); where the pattern
-//! changes sign along each side is the corner.
+//! The window is a parallelogram with sides along the board's edges, so a slanted board appears
+//! square in it. Six by six samples are compared with the pattern sign(a·b); the corner is where
+//! the samples change sign along each side.
 
 use nalgebra::Vector2;
 
@@ -12,26 +12,25 @@ use crate::imaging::gray::GrayView;
 /// A position or a vector in an image, in pixels.
 pub(in crate::detection) type Vec2 = Vector2<f32>;
 
-/// A parallelogram about `center`, reaching `a` and `b` to each side.
+/// A parallelogram around `center`, with half sides `a` and `b`.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::detection) struct CrossWindow {
     /// Its middle.
     pub center: Vec2,
-    /// From the middle half-way along one edge of the board.
+    /// From the center to the end of the window along one edge of the board.
     pub a: Vec2,
-    /// From the middle half-way along the other edge.
+    /// From the center to the end of the window along the other edge.
     pub b: Vec2,
 }
 
-/// What is measured in a window.
+/// The measurement of a window.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::detection) struct Cross {
     /// Where the edges cross, in pixels.
     pub center: Vec2,
-    /// Correlation with the pattern of a chessboard corner, −1 to 1 in size; positive for either
-    /// polarity.
+    /// Correlation with the pattern of a chessboard corner, 0 to 1, for either polarity.
     pub score: f32,
-    /// Mean brightness of the quadrants between +a and +b and between −a and −b, less that of the
+    /// Mean brightness of the quadrants between +a and +b and between −a and −b, minus that of the
     /// other two.
     pub contrast: f32,
 }
@@ -40,7 +39,7 @@ pub(in crate::detection) struct Cross {
 const LINES: usize = 6;
 const SAMPLES: usize = 6;
 const LANES: usize = 8;
-/// Margin that keeps a window off the image border, for rounding.
+/// Relative margin between a window and the image border, for rounding.
 const TOUCHING: f32 = 1e-4;
 
 impl CrossWindow {
@@ -76,7 +75,7 @@ impl CrossWindow {
         Vec2::new(self.a.x.abs() + self.b.x.abs(), self.a.y.abs() + self.b.y.abs())
     }
 
-    /// From its center to the nearest border of `image`.
+    /// The distance of its center from the nearest border of `image`, per axis.
     fn room(&self, image: GrayView<'_>) -> Vec2 {
         let (right, bottom) = (image.width() as f32 - 1.0, image.height() as f32 - 1.0);
         Vec2::new(
@@ -124,9 +123,9 @@ impl CrossWindow {
         Some(Cross { center, score, contrast: matched / 18.0 })
     }
 
-    /// Whether the centers of the four quadrants alternate between bright and dark, and by how
-    /// much: the darker of the bright less the brighter of the dark, with the sign of
-    /// [`Cross::contrast`]. `None` outside the image; 0 if they do not alternate.
+    /// Whether the centers of the four quadrants are alternately bright and dark, and by how much:
+    /// the darker bright one minus the brighter dark one, with the sign of [`Cross::contrast`].
+    /// `None` outside the image; 0 if they do not alternate.
     pub(in crate::detection) fn alternation(&self, image: GrayView<'_>) -> Option<f32> {
         if !self.is_inside(image) {
             return None;
@@ -146,33 +145,33 @@ impl CrossWindow {
     }
 }
 
-/// Samples a parallelogram line by line, in fixed point: 16 bits of a pixel's fraction to place
-/// them, 8 to interpolate. A struct, not a closure: all of it must be inlined to be compiled for
-/// the processor.
+/// Samples a parallelogram line by line, in fixed point: 16 fractional bits for positions, 8 for
+/// interpolation. A struct, not a closure: all of it must be inlined to be compiled for the
+/// processor.
 struct FixedLines<'a> {
-    /// The image from the first pixel of the parallelogram's bounding box on, and the same one row
-    /// below, of one length.
+    /// The image from the first pixel of the parallelogram's bounding box on, and the same from one
+    /// row below, both of the same length.
     upper: &'a [u8],
     lower: &'a [u8],
     stride: i32,
-    /// The first sample, from that pixel.
+    /// The first sample, relative to that pixel.
     start: [i32; 2],
     along: [i32; 2],
     down: [i32; 2],
 }
 
-/// Sums over the samples of a window, by their place in the line; the lanes beyond are 0.
+/// Sums over the samples of a window, by their place in the line; the padding lanes are 0.
 struct WindowSums {
     sums: [f32; LANES],
     squares: [f32; LANES],
-    /// The three lower lines less the three upper.
+    /// The three lower lines minus the three upper ones.
     columns: [f32; LANES],
-    /// By line: the three right samples less the three left.
+    /// For each line: the three right samples minus the three left ones.
     rows: [f32; LINES],
 }
 
 impl<'a> FixedLines<'a> {
-    /// All that will be sampled must lie in 0 … size − 1; what rounding puts beyond is moved back.
+    /// All samples must lie in 0 … size − 1; positions that rounding moves outside are moved back.
     fn start(image: GrayView<'a>, start: Vec2, along: Vec2, down: Vec2) -> Self {
         let fixed = |v: f32| (v * 65536.0) as i64;
         let place = |start: f32, along: f32, down: f32, size: usize| {
@@ -193,7 +192,7 @@ impl<'a> FixedLines<'a> {
         Self { upper, lower, stride: image.stride() as i32, start, along, down }
     }
 
-    /// Where each sample lies: the pixel, and eight bits of a fraction of the way to the next.
+    /// The position of each sample: the pixel, and eight fractional bits of the way to the next.
     #[inline(always)]
     fn places(&self) -> ([u32; LINES * LANES], [u32; LINES * LANES]) {
         let (mut at, mut fractions) = ([0; LINES * LANES], [0; LINES * LANES]);
@@ -210,7 +209,7 @@ impl<'a> FixedLines<'a> {
         (at, fractions)
     }
 
-    /// The four pixels about each of the samples, two of a row in 16 bits.
+    /// The four pixels around each sample, two of a row in 16 bits.
     #[inline(always)]
     fn fours(&self, at: &[u32; LINES * LANES]) -> [u32; LINES * LANES] {
         let mut fours = [0; LINES * LANES];
@@ -268,13 +267,13 @@ impl pulp::NullaryFnOnce for FixedLines<'_> {
     }
 }
 
-/// How far along the window the edge across it lies, from the contrast across the other edge at six
+/// The position of the edge across a window's side, from the contrast across the other edge at six
 /// positions, −1 to 1.
 ///
 /// The contrast k(t) changes sign at the edge. Its even part gives the edge's offset δ, but light
-/// that changes over the window adds a constant g: even(t) = g − k′(t)·δ, solved by least squares.
-/// Where blur fills the window, k′ is constant too and the two are collinear; then g is taken as
-/// small.
+/// that varies over the window adds a constant g: even(t) = g − k′(t)·δ, solved by least squares.
+/// Where blur fills the window, k′ is constant too and the two terms are collinear; a prior keeps g
+/// small then.
 fn edge_offset(k: &[f32; 6]) -> f32 {
     const SMALL: f32 = 0.3;
     let even = [3, 4, 5].map(|n: usize| 0.5 * (k[n] + k[5 - n]));
@@ -294,13 +293,13 @@ fn edge_offset(k: &[f32; 6]) -> f32 {
     ((s1 * e1 - (3.0 + SMALL) * se) / determinant).clamp(-1.0, 1.0)
 }
 
-/// Brightness between pixels; (`x`, `y`) must lie in 0 … size − 1.
+/// Bilinear interpolation; (`x`, `y`) must lie in 0 … size − 1.
 #[inline]
 pub(in crate::detection) fn bilinear(bytes: &[u8], stride: usize, x: f32, y: f32) -> f32 {
     let (column, row) = (x as i32, y as i32);
     let (fx, fy) = (x - column as f32, y - row as f32);
     let at = row as usize * stride + column as usize;
-    // In the image's last row and column nothing beyond is read with any weight.
+    // In the last row and column the pixels beyond have weight 0.
     let pair = |at: usize| match bytes.get(at..).and_then(|rest| rest.first_chunk()) {
         Some(&[p, q]) => (f32::from(p), f32::from(q)),
         None => bytes.get(at).map_or((0.0, 0.0), |&p| (f32::from(p), f32::from(p))),

@@ -1,15 +1,15 @@
 //! Whether the line between two neighboring corners is an edge between a bright and a dark square
-//! all the way.
+//! along its whole length.
 //!
-//! A grid that skips corners, or joins corners of two things, fails here.
+//! A grid that skips corners, or joins corners of two objects, fails here.
 
 use crate::detection::grid::Grid;
 use crate::detection::measure::Probe;
 use crate::detection::measure::cross::{Vec2, bilinear};
 use crate::imaging::gray::GrayView;
 
-/// Where an edge is sampled between its two corners: in the middle, and as far from each end as
-/// blur reaches that hides neither corner.
+/// Where an edge is sampled between its two corners: in the middle, and as far from each end as the
+/// blur of a corner that is still found reaches.
 const ALONG: [f32; 3] = [0.28, 0.5, 0.72];
 
 /// Brightness at `p`; `None` outside the image.
@@ -22,8 +22,8 @@ pub(in crate::detection) fn sample(image: GrayView<'_>, p: Vec2) -> Option<f32> 
     inside.then(|| bilinear(image.bytes(), image.stride(), p.x, p.y))
 }
 
-/// How much brighter the side towards `aside` of the line from `ends[0]` to `ends[1]` is than the
-/// other side, in three places, as `brightness` samples the image. `None` where that would be
+/// The difference in brightness between the side towards `aside` of the line from `ends[0]` to
+/// `ends[1]` and the other side, at three positions, sampled by `brightness`. `None` if a sample is
 /// outside the image.
 #[inline]
 pub(in crate::detection) fn differences(
@@ -41,9 +41,9 @@ pub(in crate::detection) fn differences(
     Some(differences)
 }
 
-/// Whether the side towards `aside` of the line from `ends[0]` to `ends[1]` is brighter by
-/// `contrast` (darker, if that is negative) than the other side. `None` where that would be outside
-/// the image.
+/// Whether the side towards `aside` of the line from `ends[0]` to `ends[1]` is brighter than the
+/// other side, to a sufficient part of `contrast` (darker, if that is negative). `None` if a sample
+/// is outside the image.
 pub(in crate::detection) fn is_edge(
     probe: Probe<'_>,
     ends: [Vec2; 2],
@@ -55,7 +55,7 @@ pub(in crate::detection) fn is_edge(
     Some(differences.iter().all(|difference| difference * contrast.signum() >= least))
 }
 
-/// How many of the grid's edges at one corner hold, of how many that are visible.
+/// The edges of the grid at one corner: how many hold, out of how many visible ones.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(in crate::detection) struct EdgeCount {
     /// Edges between a bright and a dark square.
@@ -75,8 +75,8 @@ pub(in crate::detection) fn count_edges(
     let (Some(node), Some([u, v])) = (grid.get(i, j), grid.steps(i, j)) else { return count };
     for (di, dj) in [(1, 0), (0, 1), (-1, 0), (0, -1)] {
         let Some(other) = grid.get(i + di, j + dj) else { continue };
-        // Beyond +i, the square on the side of +v has the corner's own polarity; a quarter turn
-        // changes the sign.
+        // The quadrant between +i and +v has the corner's own polarity, and each next quadrant the
+        // opposite one.
         let (aside, sign) = if di != 0 { (v, di as f32) } else { (u, dj as f32) };
         let contrast =
             0.5 * (node.contrast.abs() + other.contrast.abs()) * grid.polarity(i, j) * sign;

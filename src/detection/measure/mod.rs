@@ -1,5 +1,5 @@
-//! Measuring one corner or one edge in the image: what the search, the verification and the
-//! tracking share.
+//! Measurements of one corner or one edge in the image, shared by search, verification and
+//! tracking.
 
 pub(in crate::detection) mod cross;
 pub(in crate::detection) mod edges;
@@ -8,7 +8,7 @@ pub(in crate::detection) mod prediction;
 use crate::detection::thresholds::Thresholds;
 use crate::imaging::gray::GrayView;
 
-/// An image, with the thresholds that what is measured in it is held to.
+/// An image, with the thresholds for measurements in it.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::detection) struct Probe<'a> {
     /// The image, or a level of it.

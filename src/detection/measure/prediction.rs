@@ -1,8 +1,8 @@
-//! A corner measured where it is predicted: by its neighbors, by the homography of the board, or by
-//! the surface that lens distortion makes of it.
+//! Measures a corner where it is predicted: by its neighbors, by the homography of the board, or by
+//! the curved surface of a distorted board.
 //!
-//! Position, directions of the edges and which squares are bright are all predicted, so that a
-//! corner needs no candidate.
+//! The position, the directions of the edges and the polarity are all predicted, so a corner needs
+//! no candidate.
 
 use crate::detection::grid::curved_board::predict_on_curve;
 use crate::detection::grid::perspective::Perspective;
@@ -14,20 +14,20 @@ use crate::detection::thresholds::chessboard::{MeasureThresholds, WindowThreshol
 /// Prediction of a corner: position and appearance.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::detection) struct Prediction {
-    /// Where.
+    /// The expected position.
     pub expected: Vec2,
-    /// From there to the next corner along i and along j.
+    /// The steps from there to the next corner along i and along j.
     pub steps: [Vec2; 2],
     /// Sign of its contrast.
     pub polarity: f32,
-    /// Contrast of its neighbors, and the same very near to them.
+    /// Contrast of its neighbors, and the same in their immediate vicinity.
     pub contrast: [f32; 2],
     /// Largest distance from the prediction, in steps.
     pub most_off: f32,
 }
 
 impl Prediction {
-    /// The corner (i, j) by its known neighbors.
+    /// The corner (i, j), predicted by its known neighbors.
     pub(in crate::detection) fn by_neighbors(
         grid: &Grid,
         (i, j): (i32, i32),
@@ -42,7 +42,7 @@ impl Prediction {
         })
     }
 
-    /// The corner (i, j) by the homography of the board.
+    /// The corner (i, j), predicted by the homography of the board.
     pub(in crate::detection) fn by_perspective(
         perspective: &Perspective,
         grid: &Grid,
@@ -59,7 +59,7 @@ impl Prediction {
         })
     }
 
-    /// The corner (i, j) on a curved board, if that differs from `before`.
+    /// The corner (i, j), predicted on a curved board, if that differs from `before`.
     pub(in crate::detection) fn on_curved_board(
         grid: &Grid,
         i: i32,
@@ -79,7 +79,7 @@ impl Prediction {
         differs.then_some(place)
     }
 
-    /// The corner there, in the first of the windows that shows one.
+    /// The corner there, in the first of `windows` that shows one.
     pub(in crate::detection) fn measure(
         &self,
         probe: Probe<'_>,
@@ -103,7 +103,7 @@ impl Prediction {
         })
     }
 
-    /// Whether the four squares about the measured corner `node` are bright and dark alternately.
+    /// Whether the four squares around the measured corner `node` are alternately bright and dark.
     fn alternates(&self, probe: Probe<'_>, node: &Node, reach: f32, contrast: f32) -> bool {
         let thresholds = &probe.thresholds.measure;
         let window = window(node.pixel, self.steps, [0.8 * reach, f32::MAX], thresholds);
@@ -116,7 +116,7 @@ impl Prediction {
     }
 }
 
-/// The corner at `expected`, placed by the image in windows of one size.
+/// Measures the corner near `expected` in windows of one size, moved until they are centered on it.
 pub(in crate::detection) fn settle(
     probe: Probe<'_>,
     expected: Vec2,
@@ -130,7 +130,7 @@ pub(in crate::detection) fn settle(
     let first = window(expected, size.reach)?.measure_above(image, thresholds.least_first_score)?;
     let mut cross = window(first.center, size.reach)?.measure(image)?;
     let mut before = first.score;
-    // A corner far from its prediction comes nearer with every iteration.
+    // A corner far from its prediction gets closer with every iteration.
     while cross.score < size.least_score {
         if cross.score < before + thresholds.least_gain {
             return None;
@@ -138,7 +138,7 @@ pub(in crate::detection) fn settle(
         before = cross.score;
         cross = window(cross.center, size.reach)?.measure(image)?;
     }
-    // Uneven light or an occluder disturbs a narrow window less than a wide one.
+    // Uneven light or an occluder affects a narrow window less than a wide one.
     let near = window(cross.center, thresholds.near_reach)?
         .measure_above(image, thresholds.least_near_score)?;
     let sharp = near.contrast / cross.contrast > thresholds.least_narrow_contrast;
@@ -151,9 +151,9 @@ pub(in crate::detection) fn settle(
     })
 }
 
-/// Moves each corner of `grid`, found on a coarser level and scaled to this one, to where the image
-/// shows it, in windows of these `reaches`. A corner that is not found there is searched for where
-/// its neighbors predict it, in these `windows`.
+/// Moves each corner of `grid`, found on a coarser level and scaled to this one, to its position in
+/// this image, in windows of these `reaches`. A corner that is not found is searched for where its
+/// neighbors predict it, in these `windows`.
 pub(in crate::detection) fn sharpen_all(
     probe: Probe<'_>,
     grid: &mut Grid,
@@ -180,8 +180,8 @@ pub(in crate::detection) fn sharpen_all(
     }
 }
 
-/// The corner of `node` where the image shows it, in windows of `reaches`, one after the other.
-/// `None` if the first shows none.
+/// The corner of `node`, measured in windows of `reaches`, one after the other. `None` if the first
+/// shows none.
 fn sharpen(probe: Probe<'_>, node: &Node, steps: [Vec2; 2], reaches: &[f32]) -> Option<Node> {
     let thresholds = &probe.thresholds.measure;
     let most_px = probe.thresholds.windows.0[0].most_px;
@@ -204,7 +204,7 @@ fn sharpen(probe: Probe<'_>, node: &Node, steps: [Vec2; 2], reaches: &[f32]) -> 
     seen.map(|pixel| Node { pixel, ..*node })
 }
 
-/// A window that reaches so many steps, and so many pixels at most.
+/// A window that reaches this many steps, but at most this many pixels.
 fn window(
     center: Vec2,
     [u, v]: [Vec2; 2],
@@ -215,8 +215,8 @@ fn window(
     CrossWindow::on_board(center, u, v, reach.max(thresholds.least_reach_px / shortest), most_px)
 }
 
-/// Mean contrast of the known corners up to `reach` lines from (i, j), and the same very near to
-/// them.
+/// Mean contrast of the known corners up to `reach` lines from (i, j), and the same in their
+/// immediate vicinity.
 fn contrast_near(grid: &Grid, i: i32, j: i32, reach: i32) -> [f32; 2] {
     let (mut wide, mut near, mut count) = (0.0, 0.0, 0.0);
     for dj in -reach..=reach {

@@ -1,5 +1,5 @@
-//! The corners of a board whose edges blur runs into each other: each is where the print around it
-//! is most like the image (`alignment`), and the print is where all of them put it.
+//! Refinement of a board whose edges blur into each other: each corner is placed where the rendered
+//! print around it matches the image best (`alignment`), and the print is placed by all corners.
 
 use crate::detection::refine::alignment::{Alignment, PrintLight};
 use crate::detection::refine::beside::Nearby;
@@ -16,10 +16,11 @@ use crate::detection::thresholds::refinement::RefinementThresholds;
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
 
-/// Alignments after which the blur is estimated again: the first one starts from fits of edges.
+/// Rounds of alignment after which the blur is estimated again: the first round starts from fits of
+/// edges.
 const BLUR_ROUNDS: usize = 2;
-/// Corners rest where the mean square of their moves is below this part of their variance: a tenth
-/// of a standard deviation adds half a percent to it.
+/// The rounds end once the mean square of the corners' moves is below this fraction of their
+/// variance: a move of a tenth of a standard deviation adds half a percent to the standard error.
 const RESTS: f64 = 0.01;
 
 /// An alignment in its window.
@@ -31,10 +32,10 @@ pub(super) struct Aligned {
 }
 
 impl Refiner {
-    /// Finds where the print is most like the image, from where corners are known by now. It
-    /// replaces those of `refined` that are less certain, and all of them where those are more than
-    /// half: edges that blur runs into each other are mistaken for others, and state a deviation as
-    /// if they were not. Whether all are replaced.
+    /// Aligns the print with the image, starting from the present corners. Corners of `refined`
+    /// that are less certain are replaced; if that is more than half of them, all are, since edges
+    /// that blur into each other are taken for others and their fit states too small a standard
+    /// deviation. Returns whether all are replaced.
     pub(super) fn align_print(
         &mut self,
         image: GrayView<'_>,
@@ -101,8 +102,8 @@ impl Refiner {
         is_better
     }
 
-    /// Whether `aligned` moved no corner from where it was put before by more than chance does:
-    /// whether the mean square of their moves is a hundredth of that of their deviations.
+    /// Whether the alignments moved the corners by less than chance does: the mean square of the
+    /// moves is below a hundredth of the mean variance.
     fn rests(&self, aligned: &[Option<Aligned>]) -> bool {
         let (mut moves, mut variances) = (0.0, 0.0);
         for (aligned, placed) in aligned.iter().zip(&self.placed) {
@@ -114,7 +115,7 @@ impl Refiner {
         moves < RESTS * variances
     }
 
-    /// Takes what alignments say of the corners: those that fit as well as the others.
+    /// Updates what is known of the corners from alignments that fit as well as the others.
     fn know_aligned(&mut self, aligned: &[Option<Aligned>]) {
         self.misfit.clear();
         aligned.iter().for_each(|it| self.misfit.take(it.as_ref().map(Aligned::quality)));
@@ -148,7 +149,7 @@ impl Refiner {
         self.thresholds.aligned_reach * blur.width_px().max(self.thresholds.least_aligned_blur_px)
     }
 
-    /// The window of `corner` about `origin` in samples of `bin` pixels, and what is known of the
+    /// The window of `corner` around `origin` in samples of `bin` pixels, and what is known of the
     /// light there.
     pub(super) fn surroundings(
         &mut self,
@@ -188,7 +189,7 @@ impl Aligned {
         [0, 1].map(|k| self.window.origin[k] + self.window.bin as f64 * self.fit.offset[k])
     }
 
-    /// Whether it is accepted, as a fit of two edges would be.
+    /// Whether it passes the tests that a fit of two edges has to pass.
     fn is_corner(&self, corner: &GridCorner, limits: &RefinementThresholds) -> bool {
         let Some(axes) = axes_of(corner) else { return false };
         let cell = axes.map(length).into_iter().fold(f64::INFINITY, f64::min);

@@ -1,12 +1,12 @@
-//! A corner's position by everything that is printed around it: the print is rendered where the
-//! board's other corners put it, and moved until it is most like the image.
+//! Locates a corner by everything that is printed around it: the print is rendered where the
+//! board's other corners place it, and moved until it matches the image best.
 //!
-//! Where blur runs a corner's edges into the next ones, little is left to say how wide the blur is,
-//! how bright black and white are and how each edge runs, beside where the corner is. But blur and
-//! gamma are the board's, and how the print lies around a corner is known from its neighbors: a
-//! corner's own are its position, its black and its white. Those four are fitted by weighted linear
-//! least squares, in light (gray values to a power), where blur is linear (B. D. Lucas and T.
-//! Kanade: An iterative image registration technique, 1981).
+//! Where blur merges a corner's edges with the next ones, the window hardly determines the width of
+//! the blur, the gray values of black and white and the directions of the edges in addition to the
+//! position. But blur and gamma are common to the board, and the neighbors determine how the print
+//! lies around the corner. So a corner's own unknowns are its position, its black and its white.
+//! These four are fitted by weighted linear least squares, in light (gray values to a power), where
+//! blur is linear (B. D. Lucas and T. Kanade: An iterative image registration technique, 1981).
 
 use nalgebra::{Matrix2, Matrix4, Vector2, Vector4};
 
@@ -14,38 +14,40 @@ use crate::detection::refine::print::PrintPatch;
 use crate::detection::refine::window::Window;
 use crate::imaging::gray::GrayView;
 
-/// Most linearizations, and how many of them have more tolerance. They end where a step is below a
-/// hundredth of a sample: convergence is quadratic, so the next one would be its square.
+/// The most linearizations, and how many of them have the larger tolerance. The iteration ends when
+/// a step is below a hundredth of a sample: convergence is quadratic, so the next step would be its
+/// square.
 const ITERATIONS: usize = 5;
 const PATIENT: usize = 2;
 const ENOUGH: f64 = 0.01;
-/// The darkest gray level of which a power is taken: one step of eight bits. At 0 a power's slope
-/// is 0, and the noise of light with it.
+/// The darkest gray level that is raised to a power: one step of eight bits. At 0 the power's slope
+/// is 0, and so would be the noise in light.
 const DARKEST: f64 = 1.0;
 /// Least sum of weights, in samples: three for each of the four unknowns.
 const LEAST_SAMPLES: f64 = 12.0;
-/// Samples of more weight than this are the inner ones: of a window's Gaussian they have half.
+/// Samples with more weight than this are the inner half: they have half of the window's Gaussian.
 const HALF_WEIGHT: f64 = 0.5;
 
-/// What is known beforehand of how an image shows the print around a corner.
+/// Priors of how an image shows the print around a corner.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PrintLight {
-    /// Gray values to this power are in proportion to light.
+    /// Gray values to this power are proportional to light.
     pub power: f64,
     /// Standard deviation of a sample in gray levels, where the print is black and where it is
     /// white.
     pub noise: [f64; 2],
     /// Relative change of gray values per sample.
     pub gradient: [f64; 2],
-    /// Residuals of this many standard deviations of the noise, and this part of the contrast, are
-    /// as likely outliers; the part is the first of two at first.
+    /// A residual of this many standard deviations of the noise plus this fraction of the contrast
+    /// is as likely an outlier as an inlier. The first of the two fractions holds for the first
+    /// linearizations.
     pub tolerance: (f64, [f64; 2]),
 }
 
-/// A corner as the print around it shows it.
+/// The alignment of the print at one corner.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Alignment {
-    /// By how much the print is to be moved, in samples.
+    /// How far the print is to be moved, in samples.
     pub offset: [f64; 2],
     /// Covariance of `offset` per unit of noise: xx, xy, yy, in squared samples.
     pub covariance: [f64; 3],
@@ -53,14 +55,14 @@ pub(super) struct Alignment {
     pub mean_square: f64,
     /// Sum of the samples' weights.
     pub samples: f64,
-    /// The share of it that agrees with the print.
+    /// Inlier ratio: the fraction of that sum that matches the print.
     pub inlier_ratio: f64,
     /// Black and white, in gray levels.
     pub grays: [f64; 2],
-    /// By how much the last step changed `offset`, in samples.
+    /// How far the last step changed `offset`, in samples.
     pub last_step: f64,
-    /// How far the offsets by the inner and by the outer samples differ, as squares of two
-    /// independent parts in units of the variance that white noise gives them.
+    /// The difference between the offsets from the inner and from the outer samples, as squares of
+    /// two independent components in units of the variance from white noise.
     pub disagreements: Option<[f64; 2]>,
 }
 
@@ -68,12 +70,12 @@ pub(super) struct Alignment {
 #[derive(Debug, Default)]
 pub(super) struct AlignedSamples {
     samples: Vec<AlignedSample>,
-    /// Gray values to `power`, for each of them.
+    /// The 256 gray values to `power`.
     lights: Vec<f64>,
     power: f64,
 }
 
-/// One sample of the image, and the print there.
+/// One sample of the image, with the rendered print there.
 #[derive(Debug, Clone, Copy)]
 struct AlignedSample {
     gray: f64,
@@ -81,16 +83,16 @@ struct AlignedSample {
     /// The print, −1 … 1, and its change per sample.
     print: f64,
     slope: [f64; 2],
-    /// How much more light there is than at the window's origin.
+    /// The light relative to that at the window's origin.
     lit: f64,
     /// The window's weight.
     weight: f64,
 }
 
 impl AlignedSamples {
-    /// Gathers what `image` shows where `patch` is rendered in `window`, weighted by a Gaussian
-    /// whose standard deviation is half of the window's extent. The part of its weight inside the
-    /// image.
+    /// Gathers the pixels of `image` where `patch` is rendered in `window`, weighted by a Gaussian
+    /// whose standard deviation is half of the window's extent. Returns the fraction of that weight
+    /// inside the image.
     pub fn gather(
         &mut self,
         image: GrayView<'_>,
@@ -137,8 +139,8 @@ impl AlignedSamples {
         inside / all
     }
 
-    /// The offset of the print, black and white that are most like the gathered samples. `None`
-    /// where they do not determine them, or white is not brighter than black.
+    /// The offset of the print, black and white that fit the gathered samples best. `None` where
+    /// the samples do not determine them, or white is not brighter than black.
     pub fn align(&self, light: &PrintLight) -> Option<Alignment> {
         let mut found: Option<(Vector4<f64>, Alignment)> = None;
         for iteration in 0..ITERATIONS {
@@ -156,14 +158,14 @@ impl AlignedSamples {
         found.map(|(_, aligned)| aligned)
     }
 
-    /// Mean square of the residuals in units of the noise with every sample trusted; `None` as for
+    /// Mean square of the residuals in units of the noise, without robust weights; `None` as for
     /// [`Self::align`].
     pub fn mean_square_of_all(&self, light: &PrintLight) -> Option<f64> {
         let [part, _] = light.tolerance.1;
         self.step(light, part, None).map(|(_, aligned)| aligned.mean_square)
     }
 
-    /// Takes gray values to this power to be in proportion to light.
+    /// Sets the power that makes gray values proportional to light.
     fn set_power(&mut self, power: f64) {
         if self.power != power {
             self.power = power;
@@ -172,7 +174,7 @@ impl AlignedSamples {
         }
     }
 
-    /// Weighted least squares with the weights that the unknowns `before` give.
+    /// Weighted least squares, with the robust weights from the unknowns `before`.
     fn step(
         &self,
         light: &PrintLight,
@@ -230,8 +232,8 @@ impl AlignedSamples {
 }
 
 impl AlignedSample {
-    /// The derivatives of its light by the mean of black and white, half their difference, and that
-    /// times the two offsets.
+    /// The derivatives of its light by the mean of black and white, by half their difference, and
+    /// by that times each of the two offsets.
     fn row(&self) -> Vector4<f64> {
         let [x, y] = self.slope;
         Vector4::new(1.0, self.print, -x, -y) * self.lit
@@ -239,7 +241,7 @@ impl AlignedSample {
 }
 
 impl PrintLight {
-    /// Standard deviation of a sample in gray levels where the print is so bright.
+    /// Standard deviation of a sample in gray levels where the print has this value.
     fn noise_of_gray(&self, print: f64) -> f64 {
         let [black, white] = self.noise;
         (black + white) / 2.0 + (white - black) / 2.0 * print.clamp(-1.0, 1.0)
@@ -261,12 +263,12 @@ struct AlignmentSums {
     squared: Matrix4<f64>,
     /// Of the samples' squares.
     squares: f64,
-    /// Of the weights, and of those of what is trusted.
+    /// Of the weights, and of the weights times the robust weights.
     weights: f64,
     trusted: f64,
 }
 
-/// Where half of the samples puts the print.
+/// The offset of the print from one half of the samples.
 #[derive(Debug, Clone, Copy)]
 struct HalfOffset {
     offset: Vector2<f64>,
@@ -294,7 +296,7 @@ impl AlignmentSums {
         }
     }
 
-    /// The offset by these sums alone; `None` where they do not determine it.
+    /// The offset from these sums alone; `None` where they do not determine it.
     fn offset(&self) -> Option<HalfOffset> {
         let inverse = self.normal.try_inverse()?;
         let unknowns = inverse * self.right;
@@ -319,8 +321,7 @@ impl AlignmentSums {
     }
 }
 
-/// The mean of the `lights` of `bin` × `bin` pixels from `first` on; `None` where they are not in
-/// the image.
+/// The mean of the `lights` of `bin` × `bin` pixels from `first` on; `None` outside the image.
 fn mean_of(image: GrayView<'_>, first: [f64; 2], bin: usize, lights: &[f64]) -> Option<f64> {
     let [x, y] = first;
     if x < 0.0 || y < 0.0 {

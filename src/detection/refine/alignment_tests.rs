@@ -68,7 +68,7 @@ fn normal(rng: &mut ChaCha8Rng) -> f64 {
     StandardNormal.sample(rng)
 }
 
-/// The cells about `corner` through a camera with a gamma, and noise.
+/// The cells around `corner`, through a camera with a gamma, with noise.
 fn image_of(corner: [f64; 2], rng: &mut ChaCha8Rng) -> GrayImage {
     let mut patch = PrintPatch::default();
     patch.draw(&Cells { corner }, 0, &window([26.0; 2], 25.0), PrintBlur::round(BLUR_PX));
@@ -108,7 +108,7 @@ fn a_corner_among_others_is_found_as_exactly_as_it_says() {
     const IMAGES: usize = 400;
     for _ in 0..IMAGES {
         let image = image_of(truth, &mut rng);
-        // Where it lies is known to two tenths of a pixel.
+        // The start is accurate to two tenths of a pixel.
         let placed = [0, 1].map(|k| truth[k] + 0.1 * normal(&mut rng));
         let found = aligned(&image, placed);
         let off = [0, 1].map(|k| placed[k] + found.offset[k] - truth[k]);
@@ -124,8 +124,8 @@ fn a_corner_among_others_is_found_as_exactly_as_it_says() {
     assert!(bias[0].max(bias[1]) < 4.0 * rms / (2.0 * IMAGES as f64).sqrt(), "{bias:?}");
 }
 
-/// Noise of the same standard deviation that 3 × 3 pixels share, as a camera's noise reduction
-/// leaves it, in place of that of `image_of`.
+/// Instead of the noise of `image_of`: noise of the same standard deviation that is common to 3 × 3
+/// pixels, as after a camera's noise reduction.
 fn with_shared_noise(corner: [f64; 2], rng: &mut ChaCha8Rng) -> GrayImage {
     let mut still = image_of(corner, &mut ChaCha8Rng::seed_from_u64(0));
     let own: Vec<f64> = (0..53 * 53).map(|_| normal(rng)).collect();
@@ -147,8 +147,8 @@ fn with_shared_noise(corner: [f64; 2], rng: &mut ChaCha8Rng) -> GrayImage {
     still
 }
 
-/// Rms error over what is predicted, without and with how far the inner and the outer samples
-/// disagree over all images; and the mean square of that.
+/// The rms error relative to its prediction, without and with the disagreement of the inner and the
+/// outer samples over all images; and the mean square of that disagreement.
 fn honesty(of: impl Fn([f64; 2], &mut ChaCha8Rng) -> GrayImage, images: usize) -> [f64; 3] {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let truth = [26.3, 25.8];

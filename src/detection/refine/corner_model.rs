@@ -14,9 +14,9 @@ pub(super) const UNKNOWNS: usize = 9;
 /// that remains after eliminating all others is the corner's own.
 pub(super) const OFFSETS: usize = UNKNOWNS - 2;
 
-/// 1/σ of an edge that only a pixel's own width blurs, with a margin for sharpening cameras. An
-/// edge midway between two rows of pixels shows no width at all: without a limit it would be taken
-/// for infinitely sharp, and its position for undetermined.
+/// 1/σ of an edge that is blurred only by the pixels' own width, with a margin for sharpening
+/// cameras. An edge midway between two rows of pixels does not show its width: without a limit its
+/// sharpness would grow without bound, and its position would be undetermined.
 const SHARPEST: f64 = 3.6;
 
 /// One corner, in the pixels of its window and relative to the window's origin.

@@ -2,18 +2,18 @@
 
 /// The factors of a corner's standard deviation. Each is 1 where its own evidence is missing.
 ///
-/// Beside an occluder the verification bounds the product from below
-/// (`CornerThresholds::least_tight_std_px`); it is the only other thing that changes it.
+/// Next to an occluder the verification also bounds the product from below
+/// (`CornerThresholds::least_tight_std_px`); nothing else changes it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct CornerStd {
     /// Of the fit: its covariance, with the noise of its own residuals, in pixels per axis.
     pub fit_px: f64,
     /// How much worse the corner fits than the board's others ([`super::misfit`]).
     pub misfit: f64,
-    /// How much more the halves of edges differ than residuals predict, over the board
-    /// ([`super::scatter`]).
+    /// How much more the halves of edges differ than residuals predict, from all corners of the
+    /// board ([`super::scatter`]).
     pub scatter: f64,
-    /// How much more corners scatter about the board's lines than all of this predicts
+    /// How much more corners scatter about the board's lines than the other factors predict
     /// ([`super::straightness`]).
     pub straightness: f64,
 }

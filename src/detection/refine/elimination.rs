@@ -4,7 +4,7 @@ use crate::detection::refine::corner_model::UNKNOWNS;
 
 /// The derivatives by each unknown, then the residual.
 pub(super) const COLUMNS: usize = UNKNOWNS + 1;
-/// Room for a row of them, for the sake of vectors.
+/// Length of a row, padded to whole vectors.
 const ROOM: usize = 12;
 const LANES: usize = 4;
 
@@ -22,9 +22,8 @@ pub(super) struct Solved {
     pub last_covariance: [f64; 3],
 }
 
-/// Solves the equations that make `products`' last column as small as the others can, their
-/// diagonal first made larger by the fraction `damping`; `None` unless they determine every
-/// unknown.
+/// Solves the least squares problem of `products`, whose last column is the residual, with its
+/// diagonal increased by the fraction `damping`; `None` unless every unknown is determined.
 pub(super) fn solve(products: &RowProducts, damping: f64) -> Option<Solved> {
     pulp::Arch::new().dispatch(Elimination { products, damping })
 }
@@ -46,7 +45,7 @@ impl pulp::NullaryFnOnce for Elimination<'_> {
         for k in 0..UNKNOWNS {
             rows[k][k] += damping * products[k][k];
         }
-        // One over what is left on the diagonal.
+        // The reciprocals of the pivots.
         let mut inverse = [0.0; UNKNOWNS];
         eliminate::<0>(&mut rows, &mut inverse, &least)?;
         eliminate::<1>(&mut rows, &mut inverse, &least)?;
@@ -74,8 +73,8 @@ impl pulp::NullaryFnOnce for Elimination<'_> {
     }
 }
 
-/// Eliminates unknown `K`, whose row then is in units of its diagonal; `None` unless `least` of the
-/// diagonal remains. `K` is a constant, so that rows stay in registers from one to the next.
+/// Eliminates unknown `K` and divides its row by the pivot; `None` if the pivot is not above
+/// `least`. `K` is a constant, so that rows stay in registers from one step to the next.
 #[inline(always)]
 fn eliminate<const K: usize>(
     rows: &mut RowProducts,

@@ -1,4 +1,4 @@
-//! A quantity that changes smoothly over a board: a polynomial in column and row, fitted to the
+//! A quantity that varies smoothly over a board: a polynomial in column and row, fitted to the
 //! corners' measurements, of the order that predicts a left-out corner best.
 
 use crate::detection::refine::field_sums::{
@@ -7,7 +7,7 @@ use crate::detection::refine::field_sums::{
 
 /// Pivot threshold relative to the diagonal; rejects near-collinear basis terms.
 pub(super) const LEAST_PIVOT: f64 = 1e-6;
-/// Weighted least squares are repeated against outliers.
+/// Rounds of weighted least squares, for robust weights.
 const ROUNDS: usize = 2;
 /// The power of column and row in each term.
 const POWERS: [[usize; 2]; MOST_TERMS] = [
@@ -27,7 +27,8 @@ const POWERS: [[usize; 2]; MOST_TERMS] = [
     [1, 3],
     [0, 4],
 ];
-/// Powers 0 … 4 of a term, and 0 … 8 of a product of two; room for them, for the sake of vectors.
+/// Powers 0 … 4 of a term, and 0 … 8 of a product of two terms; the lanes pad them to whole
+/// vectors.
 const TERM_POWERS: usize = 5;
 const PRODUCT_POWERS: usize = 9;
 const TERM_LANES: usize = 8;
@@ -67,7 +68,7 @@ impl BoardField {
         field
     }
 
-    /// No field yet, over the places of `samples`.
+    /// An empty field over the places of `samples`.
     pub(super) fn spanning(samples: &[FieldSample]) -> Self {
         let fold = |k: usize, pick: fn(f64, f64) -> f64| {
             samples.iter().map(|s| s.place[k]).reduce(pick).unwrap_or(0.0)

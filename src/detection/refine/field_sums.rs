@@ -1,17 +1,17 @@
 //! Weighted least squares of polynomials in two variables, of the order that predicts a left-out
 //! sample best.
 
-/// Terms of a polynomial of an order, from 0 to the highest.
+/// The number of terms of a polynomial of order 0 to 4.
 pub(super) const TERMS: [usize; 5] = [1, 3, 6, 10, 15];
 pub(super) const MOST_TERMS: usize = 15;
-/// Room for them, for the sake of vectors.
+/// Terms, padded to whole vectors.
 pub(super) const LANES: usize = 16;
 /// Lanes of one vector: sums start at a multiple of it.
 const VECTOR: usize = 4;
 /// Minimum samples per term.
 const SAMPLES_PER_TERM: usize = 2;
-/// A sample this many times the mean square off has lost three quarters of its weight (Geman &
-/// McClure).
+/// A sample whose weighted square is this many times the mean square has lost three quarters of its
+/// weight (Geman & McClure).
 const TOLERANCE: f64 = 6.0;
 
 /// Coefficients by order, and by falling power of the first of the two within it; 0 beyond the
@@ -22,7 +22,8 @@ pub(super) struct Solution {
     pub terms: usize,
 }
 
-/// A solution and the weighted mean squares that it leaves, and that the highest order would.
+/// A solution; the weighted mean square of the residuals at the highest order, and at the chosen
+/// order.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SolvedField {
     pub solution: Solution,
@@ -54,7 +55,7 @@ pub(super) fn trust(square: f64, mean_square: f64) -> f64 {
 }
 
 impl FieldSums {
-    /// Adds a sample: its columns, its value, its weight and how much of that is trust.
+    /// Adds a sample: its columns, its value, its weight, and the robust part of that weight.
     #[inline(always)]
     pub fn add(&mut self, columns: &[f64; LANES], value: f64, weight: f64, trust: f64) {
         self.add_rows::<0>(columns, weight);
@@ -69,7 +70,7 @@ impl FieldSums {
         self.squares += weighted * value;
     }
 
-    /// Adds to the rows from `FROM` on, as many as a vector has lanes, right of it.
+    /// Adds to the rows from `FROM` on, one per lane of a vector, the columns from `FROM` on.
     #[inline(always)]
     fn add_rows<const FROM: usize>(&mut self, columns: &[f64; LANES], weight: f64) {
         for row in FROM..(FROM + VECTOR).min(MOST_TERMS) {
@@ -80,15 +81,15 @@ impl FieldSums {
         }
     }
 
-    /// The coefficients of the order up to `order` that generalized cross-validation prefers
-    /// (Craven and Wahba, 1979), of `count` samples; and the mean square of the highest order.
-    /// `least_pivot` is the pivot threshold. `None`: the samples do not determine even a mean.
+    /// The coefficients of the order up to `order` that generalized cross-validation selects
+    /// (Craven and Wahba, 1979) for `count` samples. `least_pivot` is the pivot threshold. `None`
+    /// if the samples do not determine even a mean.
     pub fn solve(self, order: usize, count: usize, least_pivot: f64) -> Option<SolvedField> {
         pulp::Arch::new().dispatch(Solving { sums: self, order, count, least_pivot })
     }
 
-    /// Eliminates the first `terms` in order: each row is left with its part of U, where the normal
-    /// matrix is Uᵀ·D⁻¹·U and D the diagonal of U. Returns how many of them the samples determine.
+    /// Eliminates the first `terms` in order. Each row keeps its part of U, where the normal matrix
+    /// is Uᵀ·D⁻¹·U and D the diagonal of U. Returns how many terms the samples determine.
     #[inline(always)]
     fn eliminate(&mut self, terms: usize, least_pivot: f64) -> usize {
         let Self { normal, right, .. } = self;
@@ -98,7 +99,7 @@ impl FieldSums {
         }
         for k in 0..terms {
             let pivot_row = normal[k];
-            // Not a number fails, too.
+            // The comparison also fails for NaN.
             if pivot_row[k].partial_cmp(&(least_pivot * diagonal[k]))
                 != Some(std::cmp::Ordering::Greater)
             {

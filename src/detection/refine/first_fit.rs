@@ -1,4 +1,5 @@
-//! The first fit of each corner: in a small window by itself, started from the corner before it.
+//! The first fit of each corner: in a small window by itself, started from the previous corner's
+//! fit.
 
 use crate::detection::refine::corner_model::{CornerModel, length};
 use crate::detection::refine::fit::FitOptions;
@@ -10,20 +11,20 @@ use crate::detection::refine::refiner::Refiner;
 use crate::detection::refine::window::{PIXEL_VARIANCE, Window};
 use crate::imaging::gray::GrayView;
 
-/// What neighboring corners have in common. The last three are in units of half the difference of
-/// the quadrants' means, which blur makes smaller than that of black and white.
+/// Start values that neighboring corners share. The last three are in units of half the difference
+/// of the quadrants' means, which blur makes smaller than that of black and white.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Before {
     blur_px: f64,
     /// The model's amplitude, without its sign.
     contrast: f64,
-    /// Its level less the mean of the quarters' means.
+    /// The model's level minus the mean of the quadrants' means.
     offset: f64,
     gamma_term: f64,
 }
 
 impl Before {
-    /// Of a sharp corner in an ordinary image: a start, forgotten after the first fit.
+    /// That of a sharp corner in an ordinary image: only the start of the first fit.
     const TYPICAL: Self = Self { blur_px: 1.0, contrast: 1.3, offset: 0.0, gamma_term: 0.0 };
 }
 
@@ -36,7 +37,7 @@ impl Refiner {
         let (mut before, mut clear) = (Before::TYPICAL, Before::TYPICAL);
         for corner in corners {
             let mut fitted = self.fit_from(image, corner, &before);
-            // What was fitted to an occluder is no start for the corners after it.
+            // A fit to an occluder is a bad start for the corners after it.
             if fitted.is_none() && before != clear {
                 fitted = self.fit_from(image, corner, &clear);
             }
@@ -63,8 +64,8 @@ impl Refiner {
     }
 
     /// The first fit of a corner: in a small window, whose size follows the blur and which moves
-    /// with the corner. Where that fails the guess may be far off: a window of larger bins covers
-    /// more.
+    /// with the corner. If it fails, the initial position may be far off: a window with larger bins
+    /// covers more.
     fn fit_alone(
         &mut self,
         image: GrayView<'_>,
@@ -126,15 +127,14 @@ impl Refiner {
     fn fit_in(&mut self, image: GrayView<'_>, window: Window, before: &Before) -> Option<Fitted> {
         self.gather(image, &window)?;
         let start = self.start(&window, before)?;
-        // The noise is not known yet: black and white are taken as equally noisy; the scale does
-        // not matter.
+        // The noise is not known yet: black and white get the same; the scale does not matter.
         let noise = Noise {
             black: 1.0,
             white: 1.0,
             tolerance: self.thresholds.first_tolerance * start.amplitude.abs()
                 + self.thresholds.first_tolerance_levels,
         };
-        // The first step may leave the position and still find black, white and blur.
+        // The first step may keep the position and only find black, white and blur.
         let options = FitOptions {
             iterations: [2, 8],
             enough: self.thresholds.first_enough,
@@ -144,8 +144,8 @@ impl Refiner {
         self.fit(window, start, &noise, &options)
     }
 
-    /// The model before the first fit: along the axes, with black and white from the means of the
-    /// four quadrants, corrected as at the corner before.
+    /// The start of the first fit: along the axes, with black and white from the means of the four
+    /// quadrants, corrected as at the previous corner.
     fn start(&mut self, window: &Window, before: &Before) -> Option<CornerModel> {
         let bin = window.bin as f64;
         let along = window.axes.map(|axis| axis.map(|v| v / length(axis)));

@@ -1,4 +1,4 @@
-//! Fitting the corner model to its samples: Levenberg and Marquardt's method on weighted squares.
+//! Fits the corner model to its samples: weighted least squares by Levenberg–Marquardt.
 
 use crate::detection::refine::corner_model::{CornerModel, length};
 use crate::detection::refine::elimination::solve;
@@ -10,13 +10,13 @@ use crate::detection::refine::samples::Samples;
 /// How to fit.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FitOptions {
-    /// Linearizations: at least, unless the start was `alike`, and at most.
+    /// The least number of linearizations, unless the start was `alike`, and the greatest.
     pub iterations: [usize; 2],
     /// Stop when a step moves the corner by less than this, in standard deviations of the blur:
     /// convergence is quadratic, so the remaining error is its square.
     pub enough: f64,
-    /// A first step that changes no other unknown by more than this, as a share of it or in
-    /// radians, may be the only one.
+    /// If the first step changes no other unknown by more than this, relatively or in radians, one
+    /// linearization is enough.
     pub alike: f64,
     /// Whether the residuals where the pattern is flat are wanted.
     pub with_flat: bool,
@@ -49,11 +49,11 @@ impl CornerFit {
     }
 }
 
-/// Damping from which on a covariance is taken without it: chosen, not swept.
+/// If the final damping is greater, the covariance is computed again without it: chosen, not swept.
 const HARDLY_DAMPED: f64 = 1e-2;
 
-/// Fits from `start`; `columns` are left as linearized at the last model but for its last step.
-/// `None` where the samples do not determine a corner.
+/// Fits from `start`. On return, `columns` hold the linearization before the last step. `None`
+/// where the samples do not determine a corner.
 pub(super) fn fit(
     samples: &Samples,
     start: CornerModel,
@@ -89,7 +89,7 @@ pub(super) fn fit(
             || iteration == most
         {
             let residuals = equations.residuals;
-            // Damping makes the covariance smaller.
+            // Damping would make the covariance too small.
             let undamped = (damping > HARDLY_DAMPED).then(|| solve(&equations.products, 0.0));
             let last_covariance =
                 undamped.flatten().map_or(solved.last_covariance, |it| it.last_covariance);
@@ -110,7 +110,7 @@ pub(super) fn fit(
     None
 }
 
-/// The covariance of the offsets of the edges (xx, xy, yy), as moves of the corner.
+/// The covariance of the corner's position, from that of the edges' offsets (xx, xy, yy).
 pub(super) fn position_covariance([aa, ab, bb]: [f64; 3], model: &CornerModel) -> [f64; 3] {
     let (a, b) = (model.center_move([1.0, 0.0]), model.center_move([0.0, 1.0]));
     let moves =

@@ -1,4 +1,4 @@
-//! The fit of one corner, and the tests whether it is the requested corner at all.
+//! The fit of one corner, and the tests of whether it is the requested corner.
 
 use crate::detection::refine::corner_model::length;
 use crate::detection::refine::fit::CornerFit;
@@ -11,8 +11,8 @@ use crate::detection::refine::window::{PIXEL_VARIANCE, Window};
 use crate::detection::thresholds::refinement::RefinementThresholds;
 use crate::geometry::pixel::Pixel;
 
-/// Least variance of the blur, in pixels squared: an edge is never sharper than the tenth of a
-/// pixel that its samples can distinguish.
+/// Least variance of the blur, in pixels squared: samples cannot distinguish an edge that is
+/// sharper than a tenth of a pixel.
 const LEAST_BLUR_VARIANCE: f64 = 0.01;
 
 /// The fit of one corner, with the window and the noise it was made with.
@@ -66,7 +66,7 @@ impl Fitted {
             && model.correlation().abs() < limits.most_correlation
     }
 
-    /// Whether the second fit is accepted. True corners keep a margin to each bound in the worst
+    /// Whether the second fit is accepted. True corners pass each bound with a margin in the worst
     /// conditions (motion blur over several pixels, heavy noise); of other positions in images of
     /// boards one in a hundred passes.
     pub(super) fn is_corner(&self, corner: &GridCorner, limits: &RefinementThresholds) -> bool {
@@ -84,7 +84,7 @@ impl Fitted {
         Quality { mean_square, inlier_ratio, samples, own_light: self.lit }
     }
 
-    /// The covariance of the position for a mean variance of 1 per axis.
+    /// The covariance of the position, scaled to a mean variance of 1 per axis.
     pub(super) fn shape(&self) -> [f64; 3] {
         let [xx, xy, yy] = self.fit.covariance;
         [xx, xy, yy].map(|v| v / ((xx + yy) / 2.0))

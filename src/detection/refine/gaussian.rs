@@ -2,7 +2,7 @@
 
 use pulp::Simd;
 
-/// Beyond this many standard deviations the profile is flat to single precision's purposes.
+/// Beyond this many standard deviations (squared) the profile is flat in single precision.
 const U_MAX_SQUARED: f32 = 25.6;
 /// (2/π)^(1/16)·exp(−x/32) on 0 … 25.6, least relative error (1.8e-7).
 const BELL: [f32; 6] =

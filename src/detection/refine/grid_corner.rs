@@ -1,9 +1,9 @@
-//! What is asked for: a corner about where the grid has it.
+//! The input of the refinement: a corner's approximate position in the grid.
 
 use crate::detection::board_detection::GridIndex;
 use crate::geometry::pixel::Pixel;
 
-/// A corner as the grid knows it.
+/// A corner before refinement.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GridCorner {
     /// Its place in the grid. Each index may occur once.

@@ -1,6 +1,6 @@
-//! Where an edge lies by its pixels near the corner, and by those farther off. The difference
-//! between the two is noise as it acts on a position, correlated or not; misfit that is symmetric
-//! about the edge, such as the shape of motion blur, moves neither.
+//! Compares an edge's offset from the pixels near the corner with that from the pixels farther out.
+//! The difference is noise as it affects a position, correlated or not; misfit that is symmetric
+//! about the edge, such as the shape of motion blur, affects neither.
 
 use pulp::{Simd, WithSimd};
 
@@ -11,10 +11,10 @@ use crate::detection::refine::samples::Samples;
 /// Minimum information of a half, as a share of the whole edge's.
 const LEAST_SHARE: f64 = 0.1;
 
-/// For each edge the square of the difference between the offsets that its two halves ask for, in
-/// units of the variance that white noise with the weights' standard deviations gives it. `reach`
-/// is the window's extent along each edge, in samples; `columns` are those of the last
-/// linearization. `None` where a half has too little information.
+/// For each edge, the squared difference between the offsets from its two halves, in units of its
+/// variance under white noise with the weights' standard deviations. `reach` is the window's extent
+/// along each edge, in samples; `columns` are those of the last linearization. `None` where a half
+/// has too little information.
 pub(super) fn disagreements(
     samples: &Samples,
     model: &CornerModel,
@@ -38,8 +38,8 @@ impl WithSimd for Halves<'_> {
     fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
         let mut disagreements = [None; 2];
         for (edge, disagreement) in disagreements.iter_mut().enumerate() {
-            // Of all pixels, then of the near ones: squared derivatives by the offset, derivatives
-            // times residuals.
+            // For all pixels, then for the near ones: the sum of squared derivatives by the offset,
+            // and of derivatives times residuals.
             let [all, all_score, near, near_score] = self.sums(simd, edge);
             let far = all - near;
             if near.min(far) > LEAST_SHARE * all {
@@ -63,7 +63,7 @@ impl Halves<'_> {
         let [ax, ay] = model.along[edge];
         let offset = simd.splat_f32s((-ax * model.center[0] - ay * model.center[1]) as f32);
         let (ax, ay) = (simd.splat_f32s(ax as f32), simd.splat_f32s(ay as f32));
-        // Across the other edge's blur this edge does not show.
+        // Within the other edge's blur this edge is not visible.
         let middle =
             simd.splat_f32s(((reach[edge] + 0.7 / model.sharpness[1 - edge]) / 2.0) as f32);
         let zero = simd.splat_f32s(0.0);

@@ -28,28 +28,28 @@ pub(super) struct Surroundings {
     pub light_gradient: [f64; 2],
 }
 
-/// Highest orders of the polynomials over the board: of the edges' curvature and of the light.
-/// Under strong distortion, curvature of lower order is biased at the board's border by more than
-/// the corners' noise, in the same way in every image.
+/// Highest orders of the polynomials over the board: for the edges' curvature and for the light.
+/// Under strong distortion, a lower order biases curvature at the board's border by more than the
+/// corners' noise, in the same way in every image.
 const CURVATURE_ORDER: usize = 4;
 const LIGHT_ORDER: usize = 4;
 
-/// The corners as a table, with the fields fitted to them.
+/// The corners by their indices, with the fields fitted to them.
 #[derive(Debug, Default)]
 pub(super) struct Lattice {
     first: [i64; 2],
     size: [i64; 2],
     slots: Vec<Option<u32>>,
     samples: Vec<FieldSample>,
-    /// The curvature of the edges along each axis by neighbors' positions, for unit variance of
-    /// these.
+    /// The curvature of the edges along each axis from neighbors' positions, with weights for unit
+    /// variance of these.
     by_neighbors: [Vec<FieldSample>; 2],
     /// The curvature of the edges along each axis.
     curvatures: [BoardField; 2],
-    /// The natural logarithm of white: its slope.
+    /// The natural logarithm of white; only its slope is used.
     light: BoardField,
     steps: SteppedFit,
-    /// Of each corner, its place among the samples of light.
+    /// For each corner, its index among the samples of light.
     lit: Vec<Option<usize>>,
 }
 
@@ -57,7 +57,7 @@ pub(super) struct Lattice {
 const MOST_PLACES: i64 = 1 << 16;
 
 impl Lattice {
-    /// Takes the indices of `corners` and what is known of each.
+    /// Fits the fields to the known quantities (`known`) of `corners`.
     pub fn fill(&mut self, corners: &[GridCorner], known: &[Option<Known>]) {
         self.place(corners);
         for axis in 0..2 {
@@ -71,7 +71,8 @@ impl Lattice {
                 let (behind, here, ahead) =
                     (beside(corner, -1)?, beside(corner, 0)?, beside(corner, 1)?);
                 let (value, span) = curvature([behind.at, here.at, ahead.at], here.along[axis])?;
-                // A second difference of three positions, at intervals of half the span.
+                // The weight of a second difference of three positions, half the span from each
+                // other.
                 let weight = (span / 2.0).powi(4) / 6.0;
                 Some(FieldSample { place: place(corner.index), value, weight })
             }));
@@ -93,7 +94,7 @@ impl Lattice {
         self.samples = samples;
     }
 
-    /// Which samples of light are neighbors.
+    /// Pairs of neighbors among the samples of light.
     fn pair_neighbors(&mut self, corners: &[GridCorner], known: &[Option<Known>]) {
         self.lit.clear();
         let mut count = 0;
@@ -112,10 +113,10 @@ impl Lattice {
         self.steps.pairs = pairs;
     }
 
-    /// The curvature of the edges along `axis` by both: the differences between neighbors, whose
-    /// positions have this variance, and what each corner's own window says beyond that. `None`
-    /// where no window says anything, or no corner has two neighbors: a window alone cannot
-    /// distinguish curvature from noise.
+    /// The curvature of the edges along `axis` from both sources: the second differences of
+    /// neighbors, whose positions have the variance `variance_px2`, and the excess in each corner's
+    /// own window. `None` where no window has an estimate, or no corner has two neighbors: a window
+    /// alone cannot distinguish curvature from noise.
     pub fn curvature_with_own(
         &mut self,
         axis: usize,
@@ -141,8 +142,8 @@ impl Lattice {
         Some(BoardField::fit(&self.samples, CURVATURE_ORDER))
     }
 
-    /// By how much `field` exceeds, at the corner at `index`, the curvature of the edges along
-    /// `axis` that [`Self::surroundings`] gives.
+    /// How much `field` exceeds the curvature of the edges along `axis` that [`Self::surroundings`]
+    /// gives, at the corner at `index`.
     pub fn beyond(&self, axis: usize, field: &BoardField, index: GridIndex) -> f64 {
         field.at(place(index)) - self.curvatures[axis].at(place(index))
     }
@@ -175,7 +176,7 @@ impl Lattice {
         inside.then_some((row * self.size[0] + col) as usize)
     }
 
-    /// The lines along `axis`: the place of each, −1 … 1, and which corners are on it, in order.
+    /// The lines along `axis`: the position of each, −1 … 1, and the corners on it, in order.
     pub fn lines(
         &self,
         axis: usize,
@@ -196,8 +197,8 @@ impl Lattice {
         Some(self.slots[self.place_of(index, step)?]? as usize)
     }
 
-    /// The board's prior for the corner at `index`. One corner's curvature and light are noisy, and
-    /// corners at the border differ from those within, but over the board both change smoothly.
+    /// The board's prior for the corner at `index`. Curvature and light from one corner are noisy,
+    /// and corners at the border lack neighbors, but both vary smoothly over the board.
     pub fn surroundings(&self, index: GridIndex, axes: [[f64; 2]; 2]) -> Surroundings {
         let place = place(index);
         let light = self.light.slope(place);
@@ -216,8 +217,9 @@ fn place(index: GridIndex) -> [f64; 2] {
     [f64::from(index.col), f64::from(index.row)]
 }
 
-/// From a corner to its neighbors along the columns' and the rows' direction, in image pixels: the
-/// mean of both sides where both are seen. `None` where the neighbors leave no two directions.
+/// The vectors from a corner to its neighbors along the columns' and the rows' direction, in image
+/// pixels: the mean of both sides where both are known. `None` where the neighbors do not determine
+/// two directions.
 pub(super) fn axes_of(corner: &GridCorner) -> Option<[[f64; 2]; 2]> {
     let axis = |k: usize| {
         let ahead = corner.neighbors[k].map(|p| [p.x - corner.pixel.x, p.y - corner.pixel.y]);
@@ -234,8 +236,8 @@ pub(super) fn axes_of(corner: &GridCorner) -> Option<[[f64; 2]; 2]> {
     (spread.is_finite() && area > 0.05 * spread && area > 4.0).then_some(axes)
 }
 
-/// Curvature of the curve through three points, at the middle one, towards the normal of
-/// `direction`; and how far along that direction they span.
+/// The curvature at the middle of three points, towards the normal of `direction`, and how far
+/// along that direction they span.
 fn curvature([behind, here, ahead]: [[f64; 2]; 3], direction: [f64; 2]) -> Option<(f64, f64)> {
     let along_across = |to: [f64; 2]| {
         let d = [to[0] - here[0], to[1] - here[1]];

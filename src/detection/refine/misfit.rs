@@ -1,18 +1,18 @@
 //! Corners at which the model fits worse than at the board's others: beside an occluder, or in its
 //! shadow.
 //!
-//! Noise is a property of the board: a corner whose residuals are a little above or below the
-//! others' shows chance, or the shape of the blur, which moves no corner. An occluder's residuals
-//! are one-sided and pull the corner: its error grows with the excess.
+//! Noise is common to the board: if a corner's residuals are a little above or below the others',
+//! that is chance, or the shape of the blur, which does not bias a corner. An occluder's residuals
+//! are one-sided and bias the corner: the error grows with the excess.
 
 use crate::geometry::median::median_of;
 
 /// Minimum corners for a robust reference.
 const FEWEST_CORNERS: usize = 8;
-/// Mean squares exceed the median by chance up to this many of their standard deviations,
+/// By chance, mean squares exceed the median by up to this many of their standard deviations,
 /// √(2/samples).
 const CHANCE: f64 = 3.0;
-/// And never less than this, where a corner has no noise at all.
+/// Lower bound of a corner's mean square relative to the median: a corner may have no noise at all.
 const LEAST_TIMES: f64 = 0.1;
 /// Coefficients of the excess and of its square in the factor on the standard deviation.
 const PULL: [f64; 2] = [1.2, 0.7];
@@ -31,7 +31,7 @@ pub(super) struct Quality {
     pub inlier_ratio: f64,
     /// Their number.
     pub samples: f64,
-    /// Whether the light is the corner's own: it then says nothing of the others.
+    /// Whether it was fitted with light of its own: then it is no reference for the others.
     pub own_light: bool,
 }
 
@@ -81,8 +81,8 @@ impl CornerMisfit {
             .map(move |quality| quality.is_some_and(|quality| quality.mean_square > most))
     }
 
-    /// For each corner whether it leaves more than this many times the mean square that the closest
-    /// quarter of them keeps below: a highlight may lie on half of a board.
+    /// For each corner whether its mean square is more than this many times the first quartile: a
+    /// highlight may cover half of a board.
     pub fn worse_than_closest(&mut self, times: f64) -> impl Iterator<Item = bool> + '_ {
         let Self { of_corners, sorted } = self;
         sorted.clear();
@@ -96,14 +96,14 @@ impl CornerMisfit {
     }
 
     /// For each corner the factor on the standard deviation predicted by its own residuals; `None`
-    /// where it is rejected beside the others.
+    /// if it is rejected as an outlier.
     pub fn std_factors(&mut self) -> impl Iterator<Item = Option<f64>> + '_ {
         let medians = self.medians();
         self.of_corners.iter().map(move |quality| {
             let (quality, Some(medians)) = ((*quality)?, medians) else { return Some(1.0) };
             let times = (quality.mean_square / medians.mean_square).max(LEAST_TIMES);
             let excess = (times - 1.0 - CHANCE * (2.0 / quality.samples).sqrt()).max(0.0);
-            // In its own light a corner may well fit closer than the others.
+            // With light of its own a corner may well fit better than the others.
             if quality.own_light && excess == 0.0 {
                 return Some(1.0);
             }

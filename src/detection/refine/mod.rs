@@ -13,10 +13,10 @@
 //! | board | `lattice`, `field`, `noise` | what all corners estimate together: the curvature of the edges, the change of light, the noise |
 //! | standard deviation | `corner_std`, `halves`, `scatter`, `misfit`, `straightness` | the fit's own, times one factor for each sign of a larger error: edge halves differ, one corner fits worse than the others, corners leave their lines |
 //!
-//! Every corner is fitted twice: in a small window by itself, then in a large one, with the
-//! curvature of the edges, the change of light and the noise known from the board; then moved by
-//! what all large windows together say of the curvature beyond that. `README.md` beside this file
-//! has the measurements.
+//! Every corner is fitted twice: in a small window by itself, then in a large one, where the board
+//! gives the curvature of the edges, the change of light and the noise. Then it is moved by the
+//! additional curvature that all large windows together show. `README.md` beside this file has the
+//! measurements.
 
 mod aligned;
 mod alignment;

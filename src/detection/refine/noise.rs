@@ -18,8 +18,8 @@ impl PooledNoise {
         self.variances.iter_mut().for_each(Vec::clear);
     }
 
-    /// Takes one corner's residuals where the pattern is flat: sum of squares about their mean and
-    /// count, black then white, of samples that are averages of `bin` × `bin` pixels.
+    /// Takes one corner's residuals where the pattern is flat: the sum of squares about their mean,
+    /// and their count, black then white, of samples that average `bin` × `bin` pixels.
     pub fn take(&mut self, flat: [(f64, f64); 2], bin: usize) {
         for (variances, (squares, count)) in self.variances.iter_mut().zip(flat) {
             if count > 6.0 {

@@ -1,5 +1,5 @@
-//! One linearization of the corner model over its samples: residuals, derivatives and their sums of
-//! products, in lanes.
+//! One linearization of the corner model over its samples: residuals, derivatives and the sums of
+//! their products, vectorized.
 
 use pulp::{Simd, WithSimd};
 
@@ -8,7 +8,7 @@ use crate::detection::refine::elimination::{COLUMNS, RowProducts};
 use crate::detection::refine::gaussian::edge_profile;
 use crate::detection::refine::samples::Samples;
 
-/// Which of the columns has the residuals.
+/// The index of the column of residuals.
 pub(super) const RESIDUAL: usize = UNKNOWNS;
 
 /// How noisy a sample is, and how wrong the model may be.
@@ -28,16 +28,16 @@ impl Noise {
         (self.black * self.black + self.white * self.white) / 2.0
     }
 
-    /// Mean of `squares`, a sum as in `residuals`, in units of the noise. With weights w = (1 +
-    /// x²/k²)⁻² the mean of w·x² over normal x is smaller than that of w by the factor 1 − 4/k², to
-    /// first order in 1/k².
+    /// Mean of `squares`, a sum as in `residuals`, in units of the noise, corrected for the robust
+    /// weights: with weights w = (1 + x²/k²)⁻² the mean of w·x² over normal x is smaller than that
+    /// of w by the factor 1 − 4/k², to first order in 1/k².
     pub fn corrected(&self, residuals: &Residuals, squares: f64) -> f64 {
         squares / (residuals.effective - UNKNOWNS as f64).max(1.0) * (1.0 + self.loss())
     }
 
     /// The square of a sum of derivatives times residuals, in units of its variance under this
-    /// noise, corrected likewise: these weights reduce its mean by nearly (1 + 4/k²)⁻² (within 3 %
-    /// for k ≥ 4).
+    /// noise, with the same correction: robust weights reduce its mean by nearly (1 + 4/k²)⁻²
+    /// (within 3 % for k ≥ 4).
     pub fn corrected_disagreement(&self, square: f64) -> f64 {
         square * (1.0 + self.loss()).powi(2)
     }
@@ -47,8 +47,8 @@ impl Noise {
     }
 }
 
-/// The sums of a linearization. Weights are 1/σ² of the noise, less for the window's border and for
-/// outliers.
+/// The sums of a linearization. Weights are 1/σ² of the noise, reduced at the window's border and
+/// for outliers.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct CornerEquations {
     /// Sums of products of the derivatives and the residual (measured minus modeled).
@@ -62,19 +62,19 @@ pub(super) struct CornerEquations {
 pub(super) struct Residuals {
     /// Sum of the residuals' squares, in units of the noise.
     pub squares: f64,
-    /// Sum of the weights of the window and of outliers, without the noise's: the number of samples
-    /// in effect.
+    /// Sum of the window's and the robust weights, without the noise's: the effective number of
+    /// samples.
     pub effective: f64,
     /// Residuals where the pattern is flat, if requested: sum of squares about their mean in gray
     /// levels and their number, black then white.
     pub flat: [(f64, f64); 2],
 }
 
-/// Columns of derivatives, kept to be used again.
+/// Columns of derivatives and residuals; the buffer is reused.
 #[derive(Debug, Default)]
 pub(super) struct ModelColumns {
     lanes: Vec<f32>,
-    /// Of each column.
+    /// Length of a column.
     length: usize,
 }
 
@@ -287,8 +287,8 @@ fn profiles<S: Simd>(
     }
 }
 
-/// Sums of products of the columns: blocks of few enough sums for the registers, enough to keep the
-/// lanes busy.
+/// Sums of products of the columns, in blocks: small enough for the registers, large enough to keep
+/// the vector units busy.
 #[inline(always)]
 fn products<S: Simd>(simd: S, columns: &[f32], length: usize, equations: &mut CornerEquations) {
     let products = &mut equations.products;

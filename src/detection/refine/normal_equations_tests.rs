@@ -1,4 +1,4 @@
-//! The nine columns of the corner model against numeric differences.
+//! Tests of the nine columns of the corner model against finite differences.
 
 use pulp::Scalar;
 
@@ -7,7 +7,7 @@ use crate::detection::refine::corner_model::OFFSETS;
 use crate::detection::refine::window::Window;
 use crate::imaging::gray::GrayImage;
 
-/// Weights of 1: noise of one gray level, and a tolerance that no residual comes near.
+/// Weights of 1: noise of one gray level, and a tolerance far above any residual.
 const FLAT: Noise = Noise { black: 1.0, white: 1.0, tolerance: 1e6 };
 /// Columns agree to this share of their largest entry: the profile's own error (5·10⁻⁶) over the
 /// step, and what the curvature's small terms leave out.
@@ -49,7 +49,7 @@ fn columns_at(samples: &Samples, model: &CornerModel) -> Vec<Vec<f64>> {
     (0..COLUMNS).map(column).collect()
 }
 
-/// What a rotation of edge `edge` changes through the correlation ρ of the blur, which the
+/// The change from a rotation of edge `edge` through the correlation ρ of the blur, which the
 /// linearization holds fixed: ∂gray/∂ρ · ∂ρ/∂angle at each sample.
 fn by_correlation(samples: &Samples, model: &CornerModel, edge: usize) -> Vec<f64> {
     let [xs, ys, ..] = samples.vectors::<Scalar>();

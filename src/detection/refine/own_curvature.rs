@@ -1,10 +1,10 @@
-//! What the pixels of a corner's own window say of the curvature of its edges, beyond that which
-//! the fit took from the board. An edge's offset far from the corner against that near it, by least
-//! squares on the last linearization: offset = a + b · t + excess · t²/2.
+//! What the pixels of a corner's own window show of its edges' curvature beyond that which the fit
+//! took from the board. It compares an edge's offset far from the corner with that near it, by
+//! least squares on the last linearization: offset = a + b · t + excess · t²/2.
 //!
-//! One window says little (for small cells about a third of what a corner with both its neighbors
-//! does, for large ones nothing), but it says it at the ends of the board's lines too, where the
-//! neighbors' differences have to be extrapolated: in small cells that error was common to all
+//! One window has little information (for small cells about a third of what a corner with both its
+//! neighbors has, for large ones none), but it has it at the ends of the board's lines too, where
+//! the neighbors' differences have to be extrapolated: in small cells that error was common to all
 //! corners of a border and up to three times their standard deviation.
 //!
 //! A window that reaches a part e of the way to the next corner has 6/45 · e⁴ of the information
@@ -20,23 +20,23 @@ use crate::detection::refine::normal_equations::{ModelColumns, RESIDUAL};
 use crate::detection::refine::samples::Samples;
 use crate::detection::refine::window::Window;
 
-/// A window that reaches a smaller part of the way to the next corner is not asked: it has less
-/// than a hundredth of the information that the corner's neighbors have (above).
+/// A window that reaches a smaller part of the way to the next corner is skipped: it has less than
+/// a hundredth of the information of the corner's neighbors (above).
 const LEAST_EXTENT: f64 = 0.5;
 
 /// The curvature of one edge in its corner's window.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct OwnCurvature {
-    /// By how much it exceeds that of the fit, towards the edge's normal, in 1/px.
+    /// How much it exceeds that of the fit, towards the edge's normal, in 1/px.
     pub excess: f64,
-    /// Variance of that, in 1/px².
+    /// Its variance, in 1/px².
     pub variance: f64,
-    /// How the corner moves, in px, for each 1/px by which the edge is more curved.
+    /// The corner's displacement, in px, per 1/px of additional curvature.
     pub move_px2: [f64; 2],
 }
 
-/// Of the fit of a corner in `window`, whose samples and last linearization these are. `None` where
-/// the window does not determine it.
+/// For the fit of a corner in `window`, with its samples and last linearization. `None` where the
+/// window does not determine the curvature.
 pub(super) fn own_curvatures(
     samples: &Samples,
     columns: &ModelColumns,
@@ -53,14 +53,14 @@ pub(super) fn own_curvatures(
     [0, 1].map(|edge| {
         let [s0, s1, s2, s3, s4] = sums[edge].information;
         let [r0, r1, r2] = sums[edge].scores;
-        // What a translation and a rotation of the edge explain of t².
+        // Projection of t² onto a translation and a rotation of the edge.
         let det = s0 * s2 - s1 * s1;
         let (offset, slope) = ((s2 * s2 - s1 * s3) / det, (s0 * s3 - s1 * s2) / det);
         let information = s4 - offset * s2 - slope * s3;
         let score = r2 - offset * r0 - slope * r1;
         let excess = 2.0 * score / information / bin;
         let variance = 4.0 * fit.mean_square / information / (bin * bin);
-        // Blur moves a curved edge, too: CornerModel::pull_of_blur.
+        // Blur displaces a curved edge too: CornerModel::pull_of_blur.
         let blur = 1.0 / (model.sharpness[1 - edge] * model.sharpness[1 - edge]);
         let mut offsets = [0.0; 2];
         offsets[edge] = -0.5 * (offset + blur);
@@ -72,7 +72,7 @@ pub(super) fn own_curvatures(
     })
 }
 
-/// Sums over an edge's samples at the distances t from the corner along it.
+/// Sums over an edge's samples; t is the distance from the corner along the edge.
 #[derive(Debug, Clone, Copy, Default)]
 struct EdgeSums {
     /// Of the squared derivatives by the edge's offset, times t⁰ … t⁴.

@@ -1,9 +1,10 @@
-//! A corner under light of its own: a highlight, the edge of a shadow.
+//! A corner under light of its own: a highlight, or the edge of a shadow.
 //!
-//! Such light is smooth, but gray values are a power of it and end at white. So the pattern t is
-//! fitted in light: m(x, y) + c(x, y)·t, with a mean m of third and a contrast c of first order
-//! over the window, and compared in gray levels, γ-th roots of it. Where the image is at white, a
-//! model that is brighter leaves nothing (a censored observation: Tobin 1958).
+//! Such light is smooth, but gray values are a power of it and saturate at white. So the pattern t
+//! is fitted in light: m(x, y) + c(x, y)·t, with a mean m of third order and a contrast c of first
+//! order over the window. Residuals are in gray levels, which are γ-th roots of light. Where the
+//! image is at white, a model that is brighter has no residual (a censored observation: Tobin
+//! 1958).
 
 use nalgebra::{SMatrix, SVector};
 
@@ -19,30 +20,30 @@ use crate::detection::refine::samples::Samples;
 const MEAN_TERMS: usize = 10;
 const CONTRAST_TERMS: usize = 3;
 const TERMS: usize = MEAN_TERMS + CONTRAST_TERMS;
-/// Directions and sharpness of the two edges, which come first, and their offsets, which come last.
+/// The directions and sharpness of the two edges, which come first; their offsets come last.
 const SHAPES: usize = 4;
 const UNKNOWNS: usize = SHAPES + TERMS + 2;
-/// A sample's derivative by each of them, then its residual, in whole vectors.
+/// The derivatives of a sample by all unknowns, then its residual, padded to whole vectors.
 const ROOM: usize = (UNKNOWNS + 1).next_multiple_of(LANES);
 const LANES: usize = 4;
 /// Samples whose products are summed at once: their rows stay in the processor's nearest cache.
 /// Chosen, not swept.
 const BATCH: usize = 64;
-/// White, in gray levels; what is brighter than the second is at it.
+/// White, in gray levels, and the level from which on a sample counts as saturated.
 const WHITE: f64 = 255.0;
 const AT_WHITE: f32 = 254.5;
-/// Least light of a model, as that of a gray level of 2: below, a root's slope has no bound.
+/// The least light of a model, that of a gray level of 2: below, the slope of a root has no bound.
 const DARKEST: f64 = 2.0;
-/// Standard deviation of each term but the constant ones beforehand, in amplitudes, as of
+/// Prior standard deviation of each term but the constant ones, in amplitudes, as in
 /// [`super::shading`].
 const LIGHT_STD: f64 = 1.0;
-/// Least contrast that this is a share of, in light, white being 1: that of the first four gray
-/// levels, as a highlight's core may have none.
+/// The least contrast that this is relative to, in light with white as 1: that of the first four
+/// gray levels, since the core of a highlight may have none.
 const LEAST_CONTRAST: f64 = 1e-4;
-/// Fewest samples below white that determine all unknowns and their residuals' scale.
+/// The least number of samples below white to determine all unknowns and the residuals' scale.
 const FEWEST_SAMPLES: f64 = 3.0 * UNKNOWNS as f64;
-/// Linearizations at each tolerance (with one, errors under highlights were larger by half), and at
-/// most at the last one (chosen, not swept).
+/// Linearizations at each tolerance (with one, errors under highlights were larger by half), and
+/// the most at the last one (chosen, not swept).
 const ROUNDS: usize = 2;
 const LAST_ROUNDS: usize = 6;
 
@@ -55,9 +56,9 @@ pub(super) struct OwnLight<'a> {
     pub tolerances: &'a [f64],
     /// Half the window's extent, in samples.
     pub reach: f64,
-    /// The power of gray values that is in proportion to light.
+    /// Gray values to this power are proportional to light.
     pub power: f64,
-    /// A last step below this, in standard deviations of the blur, is the end.
+    /// The iteration ends with a step below this, in standard deviations of the blur.
     pub enough: f64,
 }
 
@@ -98,7 +99,7 @@ impl OwnLight<'_> {
         None
     }
 
-    /// `model` in light, as if that did not change over the window.
+    /// `model` in light that is constant over the window.
     fn from(&self, model: &CornerModel) -> LitCorner {
         let half = model.amplitude.abs();
         let light = |gray: f64| (gray.clamp(DARKEST, WHITE) / WHITE).powf(self.power);
@@ -109,9 +110,9 @@ impl OwnLight<'_> {
         lit
     }
 
-    /// Normal equations at `lit`, with this tolerance to outliers in gray levels.
+    /// The normal equations at `lit`, with this tolerance to outliers in gray levels.
     fn linearize(&self, lit: &LitCorner, tolerance: f64, columns: &mut ModelColumns) -> Sums {
-        // Of the pattern itself: without noise and outliers every weight is 1.
+        // Linearizes the pattern itself: without noise and outliers every weight is 1.
         let plain = Noise { black: 1.0, white: 1.0, tolerance: 1e6 };
         let linearized = Linearized { samples: self.samples, noise: &plain, with_flat: false };
         linearized.at(&lit.corner, columns, &mut CornerEquations::default());
@@ -187,11 +188,11 @@ impl LitCorner {
 struct Sums {
     /// Products of each column with those from its own whole vector on.
     products: [[f64; ROOM]; ROOM],
-    /// Sum of the squares of the residuals below white, in units of the noise; the number of samples
-    /// in effect.
+    /// Sum of the squares of the residuals below white, in units of the noise, and the effective
+    /// number of samples.
     squares: f64,
     effective: f64,
-    /// Those of them that are below white.
+    /// The effective number of samples below white.
     below_white: f64,
 }
 
@@ -285,7 +286,7 @@ impl pulp::NullaryFnOnce for TakeLit<'_> {
             row[UNKNOWNS] = weighted;
             let inlier = doubt * doubt;
             sums.effective += inlier;
-            // What is at white has no noise: it says nothing of the residuals' scale.
+            // Saturated samples have no noise: they do not contribute to the residuals' scale.
             if value <= f64::from(AT_WHITE) {
                 sums.squares += weighted * weighted;
                 sums.below_white += inlier;
@@ -335,7 +336,7 @@ fn terms(x: f64, y: f64) -> [f64; MEAN_TERMS] {
     [1.0, x, y, x2, x * y, y2, x2 * x, x2 * y, x * y2, y2 * y]
 }
 
-/// Written out, as adapters of iterators are not always inlined.
+/// Written out, as iterator adapters are not always inlined.
 #[inline(always)]
 fn mean_and_contrast(light: &[f64; TERMS], terms: &[f64; MEAN_TERMS]) -> (f64, f64) {
     let [one, x, y, x2, xy, y2, x3, x2y, xy2, y3, of_pattern, x_of_pattern, y_of_pattern] = light;

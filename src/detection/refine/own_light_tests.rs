@@ -1,5 +1,5 @@
-//! Corners under a highlight that reaches white: error and scatter against what is stated, and each
-//! derivative against numeric differences.
+//! Tests of corners under a highlight that saturates: their errors and scatter compared with the
+//! stated uncertainty, and each derivative compared with finite differences.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;

@@ -2,13 +2,13 @@
 
 use std::f64::consts::{FRAC_1_SQRT_2, LN_2};
 
-/// The bits of a number of one: its exponent and nothing else.
+/// The bits of 1.0: an exponent and no mantissa.
 const ONE: u64 = 1.0_f64.to_bits();
 /// Bits of the mantissa.
 const MANTISSA: u32 = 52;
-/// From here on, numbers are whole: their last bits count.
+/// From here on, numbers are integers: the last bit counts ones.
 const WHOLE: f64 = (1_u64 << MANTISSA) as f64;
-/// Added to a number and subtracted, it rounds it; also of negative ones the last bits count.
+/// Adding and subtracting this rounds a number; the last bits count ones for negative numbers too.
 const ROUNDING: f64 = 1.5 * WHOLE;
 
 /// x^p of a positive x that is not subnormal, where the result is neither; to 1e-9 of it where

@@ -1,11 +1,11 @@
-//! What is printed near a corner besides its own two edges, and how to take it off the pixels that
-//! the corner is fitted to.
+//! The print near a corner besides its own two edges, and its removal from the pixels that the
+//! corner is fitted to.
 //!
-//! A marker's edges run as near to a corner as an eighth of a square: blur brings them into the
-//! window, where they are no noise. But what is printed is known, and where it lies is known from
-//! the neighboring corners, to a fraction of the blur. So the print is rendered twice, as it is and
-//! as the corner's two edges alone would have it, each blurred as the board is, and the difference
-//! is taken off the image. Near the two edges both agree, so the neighbors' errors do not enter.
+//! A marker's edges come as close to a corner as an eighth of a square: blur brings them into the
+//! window, where they are systematic and no noise. But the print is known, and the neighboring
+//! corners locate it to a fraction of the blur. So the print is rendered twice, as it is and as the
+//! corner's two edges alone would be, each blurred as the board is, and the difference is
+//! subtracted from the image. Near the two edges both agree, so the neighbors' errors do not enter.
 
 use crate::detection::refine::corner_model::{CornerModel, length};
 use crate::detection::refine::print_blur::{PrintBlur, kernel_radius, line_reach};
@@ -16,38 +16,40 @@ use crate::geometry::pixel::Pixel;
 
 /// The print of a board in an image.
 pub trait BoardPrint {
-    /// Moves the print to where its corners are, in the order in which they are refined.
+    /// Places the print by its corners, in the order in which they are refined.
     fn put(&mut self, corners: &[Option<Pixel>]);
 
-    /// The place in the print of a position in the image in pixels, near the corner of this number.
-    /// `None` where that is not known.
+    /// The position in the print of a pixel near the corner of this number. `None` where that is
+    /// not known.
     fn place_of(&self, corner: usize, pixel: [f64; 2]) -> Option<[f64; 2]>;
 
     /// The mean of the print over a rectangle about `place` that reaches `half` to each side: 1
     /// where all is white and −1 where all is black.
     fn mean(&self, place: [f64; 2], half: [f64; 2]) -> f32;
 
-    /// The same as the two edges through the corner of this number alone would have it.
+    /// The same if only the two edges through the corner of this number were printed.
     fn mean_of_edges(&self, corner: usize, place: [f64; 2], half: [f64; 2]) -> f32;
 
-    /// Where the print has the corner of this number, in the image in pixels. `None` where that is
-    /// not known.
+    /// The position in the image, in pixels, at which the print has the corner of this number.
+    /// `None` where that is not known.
     fn expected(&self, corner: usize) -> Option<[f64; 2]>;
 
-    /// How far from a corner its edges are the only ones, as a part of the way to its neighbors.
+    /// How far from a corner there are no edges but its own, as a fraction of the way to its
+    /// neighbors.
     fn room(&self) -> f64;
 }
 
-/// Edges nearer than this many standard deviations of the blur disturb a corner: its own are fitted
-/// up to 2.7 of them away, and others show as far.
+/// Edges closer than this many standard deviations of the blur disturb a corner: its own edges are
+/// fitted up to 2.7 of them away, and others are visible as far.
 const DISTURBS: f64 = 5.0;
-/// Means of the print, −1 … 1, that differ by less are the same: a tenth of what eight bits
+/// Means of the print, −1 … 1, with a smaller difference are equal: a tenth of what eight bits
 /// distinguish.
 const SAME: f32 = 1e-3;
 /// Largest half width of a rendered patch, in samples: twice that of the window of a second fit.
 const MOST_REACH: i64 = 28;
 
-/// Whether other edges at the part `room` of the way along `axes` disturb a corner blurred so.
+/// Whether other edges, at the fraction `room` of the way along `axes`, disturb a corner with this
+/// blur.
 pub(super) fn disturbs(room: f64, [u, v]: [[f64; 2]; 2], blur_px: f64) -> bool {
     let height = (u[0] * v[1] - u[1] * v[0]).abs() / length(u).max(length(v));
     room * height < DISTURBS * blur_px
@@ -60,17 +62,17 @@ pub(super) struct PrintPatch {
     reach: i64,
     /// From the window's origin to the patch's middle, in samples.
     offset: [f64; 2],
-    /// The print as it is and as two edges alone, row by row, `margin` samples wider to each side
-    /// than the patch.
+    /// The print as it is, and as the two edges alone, row by row, wider than the patch by `margin`
+    /// samples on each side.
     read: [Vec<f32>; 2],
     margin: i64,
-    /// The same blurred, within `reach`.
+    /// The same after blurring, within `reach`.
     layers: [Vec<f32>; 2],
     passed: Vec<f32>,
     kernel: Vec<f32>,
 }
 
-/// What is read of a print.
+/// Which layers of a print are read.
 #[derive(Clone, Copy, PartialEq)]
 enum Layers {
     Print,
@@ -89,8 +91,8 @@ impl PrintPatch {
         reach_px + 1.0 <= MOST_REACH as f64 && Self::can_render(blur, 1)
     }
 
-    /// Renders the print around `corner` in the samples of `window`, blurred. False where nothing
-    /// but the corner's two edges is printed.
+    /// Renders the print around `corner` in the samples of `window`, blurred. Returns false where
+    /// only the corner's two edges are printed.
     pub fn render(
         &mut self,
         print: &dyn BoardPrint,
@@ -103,7 +105,7 @@ impl PrintPatch {
         disturbed && self.blurred(blur, window)
     }
 
-    /// Renders all that is printed around `corner`, but not its two edges alone.
+    /// Renders the whole print around `corner`, without the layer of its two edges.
     pub fn draw(
         &mut self,
         print: &dyn BoardPrint,
@@ -115,7 +117,7 @@ impl PrintPatch {
         self.blurred(blur, window);
     }
 
-    /// Reads the print as far around as any blur reaches that a search from `blur` tries, for
+    /// Reads the print as far out as any blur reaches that a search from `blur` tries, for
     /// [`Self::blurred`].
     pub fn read_for_any(
         &mut self,
@@ -127,8 +129,8 @@ impl PrintPatch {
         self.read(print, corner, window, (blur.reach_of_any(window.bin), Layers::Print));
     }
 
-    /// Blurs what was read in the samples of `window`. False where the blur reaches farther than
-    /// that.
+    /// Blurs what was read in the samples of `window`. Returns false where the blur reaches farther
+    /// than that.
     pub fn blurred(&mut self, blur: PrintBlur, window: &Window) -> bool {
         let bin = window.bin as f64;
         if blur.reach(window.bin) > self.margin {
@@ -149,14 +151,14 @@ impl PrintPatch {
         self.offset
     }
 
-    /// The whole print, so many samples right of and below the middle.
+    /// The whole print, this many samples right of and below the middle.
     pub fn full(&self, i: i64, j: i64) -> f64 {
         let side = 2 * self.reach + 1;
         f64::from(self.layers[0][((j + self.reach) * side + i + self.reach) as usize])
     }
 
-    /// Takes off `samples`, which are those of the rendered window, what the corner's two edges do
-    /// not explain, in the gray values of `model`, which to `power` are in proportion to light.
+    /// Subtracts from `samples`, which are those of the rendered window, all print but the corner's
+    /// two edges, in the gray values of `model`; these to `power` are proportional to light.
     pub fn take_off(&self, samples: &mut Samples, model: &CornerModel, power: f64) {
         let gray = Transfer::of(model, power);
         let gradient = model.gradient.map(|g| g as f32);
@@ -187,8 +189,8 @@ impl PrintPatch {
         self.kernel.extend((-radius..=radius).map(|k| (weight(k) / total) as f32));
     }
 
-    /// Reads the print at all samples of `window` and `margin` around them. Of both layers: whether
-    /// other edges than the corner's two are printed there.
+    /// Reads the print at all samples of `window` and `margin` around them. With both layers:
+    /// returns whether edges other than the corner's two are printed there.
     fn read(
         &mut self,
         print: &dyn BoardPrint,
@@ -217,8 +219,8 @@ impl PrintPatch {
             self.read.iter_mut().for_each(|layer| layer.resize(side * side, 0.0));
             return false;
         };
-        // A sample is the mean over a square of the image; one along the print's axes that is as
-        // wide has the same mean and variances.
+        // A sample is the mean over a square of the image; a rectangle along the print's axes with
+        // the same variances replaces it.
         let half = [0, 1].map(|k| {
             let [across, down] = [right[k] - left[k], below[k] - above[k]];
             (across * across + down * down).sqrt() / 2.0
@@ -239,7 +241,7 @@ impl PrintPatch {
         disturbed
     }
 
-    /// Blurs both layers, and leaves what lies within reach.
+    /// Blurs the layers, and keeps the part within reach.
     fn blur(&mut self, line: [f64; 2]) {
         let moved = line_reach(line) as usize;
         let Self { reach, margin, read, layers, passed, kernel, .. } = self;
@@ -273,8 +275,8 @@ impl PrintPatch {
     }
 }
 
-/// Averages `layer`, `side` samples and a margin wide, along `line` to both sides; what lies within
-/// the margin is left.
+/// Averages `layer`, `side` samples and a margin wide, along `line` to both sides; the margin is
+/// dropped.
 fn move_along(
     layer: &mut Vec<f32>,
     moved: &mut Vec<f32>,
@@ -288,7 +290,7 @@ fn move_along(
     moved.resize(side * side, 0.0);
     let weight = 1.0 / (2 * steps + 1) as f32;
     for step in -steps..=steps {
-        // The middles of equal parts of the line.
+        // The centers of equal parts of the line.
         let part = 2.0 * step as f64 / (2 * steps + 1) as f64;
         let at = line.map(|v| v * part + margin as f64);
         let [i, j] = at.map(|v| (v.floor() as usize).min(2 * margin - 1));

@@ -1,46 +1,46 @@
-//! How an image shows a print: blurred by lens, focus and a motion during the exposure, and by a
-//! camera's gamma.
+//! How an image renders a print: blurred by lens, focus and motion during the exposure, and with
+//! the camera's gamma.
 
 use nalgebra::{Matrix2, Vector2};
 
-/// Newton's steps: each leaves the square of what was left. And the longest one, in those over
-/// which slopes are taken: 30 % of a width. Swept: half and twice of it give the same corners to
-/// 0.001 px.
+/// The number of Newton steps: each leaves the square of the previous error. And the longest step,
+/// in units of the differences that slopes are taken over: 30 % of a width. Swept: half and twice
+/// of it give the same corners to 0.001 px.
 const NEWTON_STEPS: usize = 3;
 const MOST_STEPS: f64 = 10.0;
-/// Standard deviations of the blur beyond which nothing of an edge is rendered.
+/// Standard deviations of the blur at which its kernel ends.
 const KERNEL_REACH: f64 = 3.0;
-/// What any blur of a width reaches, in widths: three standard deviations of a round one that is
-/// e^0.7 times as wide; the half way of a motion is at most 2.4 widths, and e^0.7 times that.
+/// How far any blur of a width reaches, in widths: three standard deviations of a round one that is
+/// e^0.7 times as wide; half the path of a motion is at most 2.4 widths, and e^0.7 times that.
 const ANY_REACH: f64 = 7.0;
-/// Directions in which motion is sought, over a half turn.
+/// Directions of motion that are tried, over a half turn.
 const ANGLES: usize = 12;
-/// The part of the variance that is motion's: first, and then.
+/// The fraction of the variance that is from motion: the first one tried, and the others.
 const FIRST_SHARE: f64 = 0.9;
 const SHARES: [f64; 6] = [0.5, 0.7, 0.8, 0.85, 0.94, 0.97];
-/// The natural logarithm of the most that a width is wrong by, twice the 17 % by which widths of
-/// edges were too large on AprilGrids, and the sections until it is known to 1 %.
+/// The natural logarithm of the greatest error of a width, twice the 17 % by which widths of edges
+/// were too large on AprilGrids; and the sections after which it is known to 1 %.
 const WIDTHS: f64 = 0.35;
 const SECTIONS: usize = 8;
-/// Motion must leave less than this part of what a round blur leaves.
+/// A motion is accepted if its misfit is less than this fraction of that of a round blur.
 const MOVES: f64 = 0.8;
-/// No lens with its pixels is sharper, in pixels.
+/// No lens and sensor has less blur, in pixels.
 const SHARPEST_PX: f64 = 0.35;
 
-/// What an image makes of a print, the same for a whole board.
+/// How an image renders a print, common to a whole board.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct PrintRendering {
     pub blur: PrintBlur,
-    /// Gray values to this power are in proportion to light.
+    /// Gray values to this power are proportional to light.
     pub power: f64,
 }
 
-/// A blur: a Gaussian's, and a uniform motion.
+/// A blur: a Gaussian followed by a uniform motion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct PrintBlur {
     /// The Gaussian's standard deviation, in pixels.
     pub sigma_px: f64,
-    /// Half of the way of the motion, in pixels.
+    /// Half of the path of the motion, in pixels.
     pub line_px: [f64; 2],
 }
 
@@ -50,14 +50,14 @@ impl PrintBlur {
         Self { sigma_px, line_px: [0.0; 2] }
     }
 
-    /// The root of the mean variance across two edges at a right angle, in pixels.
+    /// The root mean variance across two perpendicular edges, in pixels.
     pub fn width_px(&self) -> f64 {
         let [x, y] = self.line_px;
         (self.sigma_px * self.sigma_px + (x * x + y * y) / 6.0).sqrt()
     }
 
-    /// A motion in the direction `angle` that has `share` of the variance across two edges at a
-    /// right angle, which together are 2·`blur_px`².
+    /// A motion in the direction `angle` that has the fraction `share` of the variance across two
+    /// perpendicular edges, which is 2·`blur_px`² in total.
     fn moving(blur_px: f64, angle: f64, share: f64) -> Self {
         let variance = 2.0 * blur_px * blur_px;
         // A uniform motion over 2h has a variance of h²/3.
@@ -83,14 +83,14 @@ impl PrintBlur {
         Self { sigma_px: factor * self.sigma_px, line_px: self.line_px.map(|v| factor * v) }
     }
 
-    /// The width of least `misfit`, of those that differ from its own by at most 42 %.
+    /// The width with the least `misfit`, of those that differ from its own by at most 42 %.
     pub fn best_width(self, misfit: &mut dyn FnMut(Self) -> f64) -> Self {
         let at = |log: f64| misfit(self.scaled(log.exp()));
         self.scaled(golden_section([-WIDTHS, WIDTHS], SECTIONS, at).exp())
     }
 
-    /// The blur of least `misfit`, of those with the variance of `blur_px` across edges at a right
-    /// angle.
+    /// The blur with the least `misfit`, of those whose variance across perpendicular edges is that
+    /// of `blur_px`.
     pub fn best(blur_px: f64, misfit: &mut dyn FnMut(Self) -> f64) -> Self {
         let round = Self::round(blur_px);
         let mut best = (MOVES * misfit(round), round);
@@ -113,7 +113,7 @@ impl PrintBlur {
     }
 }
 
-/// By how many samples a motion to both ends of `line` reaches to each side.
+/// How far a motion to both ends of `line` reaches to each side, in samples.
 pub(super) fn line_reach(line: [f64; 2]) -> i64 {
     line[0].abs().max(line[1].abs()).ceil() as i64
 }
@@ -123,7 +123,7 @@ pub(super) fn kernel_radius(sigma: f64) -> i64 {
     (KERNEL_REACH * sigma).ceil().max(1.0) as i64
 }
 
-/// Where `value` is least within `range`, if it has one minimum there: known to 0.618^`sections` of
+/// The minimum of `value` within `range`, if it has one minimum there: known to 0.618^`sections` of
 /// the range (J. Kiefer: Sequential minimax search for a maximum, 1953).
 pub(super) fn golden_section(
     [mut low, mut high]: [f64; 2],
@@ -147,8 +147,8 @@ pub(super) fn golden_section(
     (low + high) / 2.0
 }
 
-/// Where `value` is least near [0, 0], and how small it is there: by Newton's method with
-/// differences over `steps`, in steps of at most ten of them.
+/// The minimum of `value` near [0, 0], and its value: by Newton's method with differences over
+/// `steps`, in steps of at most ten of them.
 pub(super) fn least_near(
     steps: [f64; 2],
     value: &mut dyn FnMut([f64; 2]) -> f64,

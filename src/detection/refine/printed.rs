@@ -1,4 +1,4 @@
-//! Fits that take other print off the corners' windows, where blur brings it in.
+//! Fits with other print removed from the corners' windows, where blur brings it in.
 
 use crate::detection::refine::beside::{Beside, Nearby};
 use crate::detection::refine::fitted::Fitted;
@@ -13,9 +13,9 @@ use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
 
 impl Refiner {
-    /// Where blur brings other edges of the print into the corners' windows: fits that take them
-    /// off, each with what the one before it says of black and white, and with the blur and the
-    /// gamma for which the print is then most like the image. `None` where it does not.
+    /// Where blur brings other edges of the print into the corners' windows: repeats the fits with
+    /// these removed, each time with black and white from the previous round, and with the blur and
+    /// the gamma that then match the image best. `None` where blur does not.
     pub(super) fn fit_printed(
         &mut self,
         image: GrayView<'_>,
@@ -66,7 +66,7 @@ impl Refiner {
         print.put(&self.placed);
     }
 
-    /// What the corners' fits say by themselves, without motion.
+    /// Blur and gamma as the median over the corners' fits, without motion.
     pub(super) fn median_rendering(&mut self) -> Option<PrintRendering> {
         let blur = PrintBlur::round(self.median_blur_px()?);
         Some(PrintRendering { blur, power: self.median_power()? })
@@ -80,7 +80,7 @@ impl Refiner {
         median_of(blurs)
     }
 
-    /// Median of the powers of the corners' gray values that are in proportion to light.
+    /// The median over the corners of the power that makes gray values proportional to light.
     pub(super) fn median_power(&mut self) -> Option<f64> {
         let powers = &mut self.powers;
         powers.clear();

@@ -9,9 +9,9 @@ pub struct RefinedCorner {
     pub pixel: Pixel,
     /// Predicted standard deviation of `pixel`, per axis, in pixels.
     pub std_px: f64,
-    /// Width of the blur across the edges, as a Gaussian's standard deviation in pixels, the
-    /// pixel's own width not counted.
+    /// Width of the blur across the edges, as a Gaussian's standard deviation in pixels, without
+    /// the pixel's own width.
     pub blur_px: f64,
-    /// White less black, in gray levels.
+    /// White minus black, in gray levels.
     pub contrast: f64,
 }

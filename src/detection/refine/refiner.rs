@@ -28,11 +28,11 @@ use crate::imaging::gray::GrayView;
 #[derive(Debug, Default)]
 pub struct Refiner {
     pub(super) thresholds: RefinementThresholds,
-    /// The part of the way to the neighbors that is not free of other edges.
+    /// The fraction of the way to the neighbors that other edges occupy.
     pub(super) taken: f64,
     pub(super) samples: Samples,
     pub(super) columns: ModelColumns,
-    /// The same of fits with light of a corner's own.
+    /// The same for fits with light of a corner's own.
     pub(super) lit_columns: ModelColumns,
     pub(super) lattice: Lattice,
     pub(super) noise: PooledNoise,
@@ -47,26 +47,26 @@ pub struct Refiner {
     pub(super) shapes: Vec<[f64; 3]>,
     pub(super) fitted: Vec<Option<Fitted>>,
     pub(super) known: Vec<Option<Known>>,
-    /// Of each corner, what its window says of its edges' curvature.
+    /// For each corner, the excess curvature of its edges in its own window.
     own_curvatures: Vec<[Option<OwnCurvature>; 2]>,
     /// Variances of the first fits' positions.
     variances_px2: Vec<f64>,
     pub(super) patch: PrintPatch,
     pub(super) aligned: AlignedSamples,
-    /// Where the corners are by now.
+    /// The present positions of the corners.
     pub(super) placed: Vec<Option<Pixel>>,
     /// Widths of the blur at the corners.
     pub(super) blurs_px: Vec<f64>,
     pub(super) powers: Vec<f64>,
-    /// Of each corner, whether it fits worse than the others: its light may be its own.
+    /// For each corner, whether it fits worse than the others: it may have light of its own.
     pub(super) shaded: Vec<bool>,
-    /// The same beside those that fit closest.
+    /// The same relative to the corners that fit best.
     may_be_lit: Vec<bool>,
-    /// Of each corner, under which light it may be fitted besides the board's.
+    /// For each corner, the light of its own that a second fit may try.
     light: Vec<Option<LightOfItsOwn>>,
-    /// Of each corner, its second fit where that has light of its own.
+    /// For each corner, its second fit if that has light of its own.
     lit: Vec<Option<Fitted>>,
-    /// The last window of a first fit.
+    /// The mean gray values of the two pairs of quadrants in the last window of a first fit.
     pub(super) quarter_means: [f64; 2],
 }
 
@@ -76,14 +76,15 @@ impl Refiner {
         Self { thresholds, ..Self::default() }
     }
 
-    /// One for boards whose next edges lie at this part of the way to the given neighbors.
+    /// A refiner for boards whose next edges lie at this fraction of the way to the given
+    /// neighbors.
     pub fn with_room(room: f64, thresholds: RefinementThresholds) -> Self {
         Self { taken: 1.0 - room, thresholds, ..Self::default() }
     }
 
     /// Refines each of `corners` of one board in `image` into `refined`, in their order, replacing
     /// its content. `None`: the image shows no chessboard corner there, or does not determine its
-    /// position. Does not allocate after a board as large.
+    /// position. Does not allocate after a board of the same size.
     pub fn refine(
         &mut self,
         image: GrayView<'_>,
@@ -93,9 +94,9 @@ impl Refiner {
         self.refine_printed(image, corners, None, refined);
     }
 
-    /// The same of a board on which more is printed than its corners' edges. True where blur runs
-    /// those into each other so much that corners are where the whole print is most like the image:
-    /// where it is not, there is no corner to be seen.
+    /// The same for a board with more print than its corners' edges. Returns true if blur merges
+    /// edges so much that all corners come from aligning the whole print: then a corner that is
+    /// `None` is not visible.
     pub fn refine_printed(
         &mut self,
         image: GrayView<'_>,
@@ -120,7 +121,7 @@ impl Refiner {
         self.align_print(image, corners, print, rendering, refined)
     }
 
-    /// The second fits of all corners, and what the board says of them.
+    /// The second fits of all corners, and the constraints from the board.
     fn fit_edges(
         &mut self,
         image: GrayView<'_>,
@@ -128,7 +129,7 @@ impl Refiner {
         nearby: Option<Nearby<'_>>,
         refined: &mut Vec<Option<RefinedCorner>>,
     ) {
-        // Print that is blurred into windows is taken off in the board's light.
+        // Print that blur brings into windows is removed under the board's light only.
         let may_be_lit = nearby.is_none() && self.may_be_lit.contains(&true);
         let power = if may_be_lit { self.median_power() } else { None };
         let light = |most_left| power.map(|power| LightOfItsOwn { power, most_left });
@@ -155,7 +156,7 @@ impl Refiner {
         self.set_stds(refined);
     }
 
-    /// The second fit of each corner, but for those that are known in light of their own.
+    /// The second fit of each corner, except for those already fitted with light of their own.
     fn fit_each_again(
         &mut self,
         image: GrayView<'_>,
@@ -181,7 +182,7 @@ impl Refiner {
             });
             self.lit[slot] = second.filter(|second| second.lit);
             self.misfit.take(second.as_ref().map(Fitted::quality));
-            // What its samples say with light of its own is not the board's.
+            // Residuals under light of its own do not represent the board.
             let plain = second.as_ref().filter(|second| !second.lit);
             if let Some(second) = plain.filter(|_| self.is_compared(corners, corner)) {
                 self.note_scatter(refined.len(), second);
@@ -197,8 +198,8 @@ impl Refiner {
         }
     }
 
-    /// Moves corners by how much more curved their edges are than in the second fit, as the windows
-    /// of all corners together with the first fits' positions say.
+    /// Moves corners by the excess curvature of their edges over that of the second fit, estimated
+    /// from the windows of all corners and the first fits' positions.
     fn curve_edges(&mut self, corners: &[GridCorner], refined: &mut [Option<RefinedCorner>]) {
         let Self { fitted, variances_px2, own_curvatures, lattice, .. } = self;
         variances_px2.clear();
@@ -219,7 +220,7 @@ impl Refiner {
         }
     }
 
-    /// What is known of the corners that fit as well as the others.
+    /// Updates `known` from the corners that fit as well as the others.
     pub(super) fn compare_fits(&mut self) {
         self.misfit.clear();
         self.fitted
@@ -248,7 +249,7 @@ impl Refiner {
         self.stds.clear();
         for (slot, (corner, misfit)) in refined.iter_mut().zip(&self.misfit_factors).enumerate() {
             *corner = corner.filter(|_| misfit.is_some());
-            // What fits in the board's light leave says nothing of those in other light.
+            // The residuals under the board's light do not represent fits under other light.
             let scatter = if self.misfit.has_own_light(slot) { 1.0 } else { scatter };
             let fit_px = corner.map_or(0.0, |corner| corner.std_px);
             let misfit = misfit.unwrap_or(1.0);
@@ -261,8 +262,7 @@ impl Refiner {
         }
     }
 
-    /// The factor by which corners scatter more or less about the board's lines than `stds`
-    /// predict.
+    /// The ratio of the corners' scatter about the board's lines to that which `stds` predict.
     fn straightness_of(&mut self, refined: &[Option<RefinedCorner>]) -> f64 {
         for axis in 0..2 {
             let lines = self.lattice.lines(axis).map(|(place, line)| {
@@ -314,7 +314,7 @@ impl Refiner {
         })
     }
 
-    /// Whether a corner's edge halves are compared: of many corners, every other one is enough.
+    /// Whether a corner's edge halves are compared: with many corners, every other one suffices.
     fn is_compared(&self, corners: &[GridCorner], corner: &GridCorner) -> bool {
         corners.len() < self.thresholds.enough_corners
             || (corner.index.col + corner.index.row) % 2 == 0

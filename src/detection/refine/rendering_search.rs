@@ -1,4 +1,4 @@
-//! The blur and the gamma with which a board's print is most like the image.
+//! The search of the blur and the gamma with which the rendered board matches the image best.
 
 use crate::detection::refine::alignment::{AlignedSamples, PrintLight};
 use crate::detection::refine::beside::Nearby;
@@ -11,22 +11,24 @@ use crate::detection::refine::transfer::POWERS;
 use crate::detection::refine::window::Window;
 use crate::imaging::gray::GrayView;
 
-/// Mean square, in units of the noise, of what cannot be aligned: above that of any print that can.
+/// The misfit, as a mean square in units of the noise, of a print that cannot be aligned: greater
+/// than that of any that can.
 const NO_PRINT: f64 = 1e6;
-/// Most octaves of widths that are searched: from the widest blur that can be rendered to the
-/// narrowest motion that is distinguished are four. Each search reaches half an octave to both
-/// sides.
+/// The most octaves of widths that are searched: there are four from the widest blur that can be
+/// rendered to the narrowest motion that can be distinguished. Each search covers half an octave on
+/// both sides.
 const MOST_OCTAVES: usize = 5;
-/// Share of the corners that edges must refine for them to be trusted. Swept: AprilGrids in motion
-/// have 0.012 px from 0.75 to 0.9, and 0.030 px at 0.5.
+/// The fraction of the corners that fits of edges must refine to be trusted. Swept: AprilGrids in
+/// motion have 0.012 px from 0.75 to 0.9, and 0.030 px at 0.5.
 const REFINED: f64 = 0.75;
-/// Changes of the logarithms of width and power over which a misfit's slopes are taken. Swept:
-/// ChArUco boards in wide blur have 0.014 px, 0.017 px with half of them and 0.021 px with twice.
+/// The differences of the logarithms of width and power over which slopes of the misfit are taken.
+/// Swept: ChArUco boards in wide blur have 0.014 px, 0.017 px with half of them and 0.021 px with
+/// twice.
 const STEPS: [f64; 2] = [0.03, 0.06];
 
 impl Refiner {
-    /// What the fits of edges say of blur and gamma where they could not refine enough of the
-    /// corners, and the blur may be a motion's.
+    /// Blur and gamma from the fits of edges, if these refined too few of the corners and the blur
+    /// is wide enough to be a motion's.
     pub(super) fn rendering_of_unrefined(
         &mut self,
         refined: &[Option<RefinedCorner>],
@@ -37,7 +39,7 @@ impl Refiner {
         self.median_rendering().filter(|it| are_few && it.blur.width_px() >= least_px)
     }
 
-    /// The blur and the gamma with which the print is most like the image at some of the known
+    /// The blur and the gamma with which the print matches the image best at some of the known
     /// corners, near those of `nearby`: with any motion, and at most 42 % wider or narrower.
     pub(super) fn aligned_rendering(
         &mut self,
@@ -60,9 +62,10 @@ impl Refiner {
         self.compared(image, corners, nearby, Trust::Robust).adjusted(nearby.rendering).0
     }
 
-    /// Blur and gamma for which the print is most like the image, where fits of edges mistake them:
-    /// two edges that run into each other are fitted as one that is wider, never narrower. Every
-    /// sample is trusted: while the blur is wrong, those that disagree say so, and are no outliers.
+    /// The blur and the gamma with which the print matches the image best, where fits of edges
+    /// mistake them: two edges that merge are fitted as one that is wider, never narrower. There
+    /// are no robust weights: while the blur is wrong, samples that do not match show that, and are
+    /// no outliers.
     pub(super) fn rendering_of_any_width(
         &mut self,
         image: GrayView<'_>,
@@ -121,16 +124,16 @@ struct ComparedCorners<'a> {
     trust: Trust,
 }
 
-/// Which samples a misfit is of.
+/// Which samples count in a misfit.
 #[derive(Clone, Copy, PartialEq)]
 enum Trust {
     All,
-    /// Those that agree with the print.
+    /// Those that match the print.
     Robust,
 }
 
 impl ComparedCorners<'_> {
-    /// The rendering of least misfit near `start`, and the misfit.
+    /// The rendering with the least misfit near `start`, and the misfit.
     fn best(&mut self, start: PrintRendering, least_motion_px: f64) -> (PrintRendering, f64) {
         let power = start.power;
         let mut of_blur = |blur: PrintBlur| self.misfit(PrintRendering { blur, power });
@@ -141,7 +144,7 @@ impl ComparedCorners<'_> {
         self.adjusted(PrintRendering { blur, power })
     }
 
-    /// `start` with the width of blur and the power of least misfit, and the misfit.
+    /// `start` with the width of the blur and the power that have the least misfit, and the misfit.
     fn adjusted(&mut self, start: PrintRendering) -> (PrintRendering, f64) {
         let changed = |[width, power]: [f64; 2]| PrintRendering {
             blur: start.blur.scaled(width.exp()),

@@ -1,5 +1,5 @@
-//! The pixels that a corner is fitted to: a window along the cells' own axes, in pixels or in sums
-//! of 2×2 or 4×4.
+//! The pixels that a corner is fitted to: a window along the cells' own axes, in pixels or in
+//! averages of 2×2 or 4×4 pixels.
 
 use pulp::{Simd, WithSimd};
 
@@ -7,14 +7,14 @@ use crate::detection::refine::corner_model::length;
 use crate::detection::refine::window::Window;
 use crate::imaging::gray::GrayView;
 
-/// Lanes are filled up to a multiple of this with samples of no weight.
+/// Vectors are filled up to a multiple of this with samples of weight 0.
 const PADDING: usize = 16;
 /// Pixels read at once, and rows whose extent in the window is computed at once.
 const RUN: usize = 8;
 const ROWS: usize = 8;
 
-/// Samples of an image, relative to the window's origin and in units of the bin. The lanes only
-/// ever grow: what lies beyond the padding is of another window.
+/// Samples of an image, relative to the window's origin and in units of the bin. The buffers only
+/// ever grow: values beyond the padding are from earlier windows.
 #[derive(Debug, Default)]
 pub(super) struct Samples {
     x: Vec<f32>,
@@ -23,7 +23,7 @@ pub(super) struct Samples {
     weight: Vec<f32>,
     /// How many samples there are, without the padding.
     pub count: usize,
-    /// Where the padding begins whose weight is 0; everywhere else it is 1.
+    /// The start of the padding, where the weight is 0; everywhere else it is 1.
     padded_from: usize,
 }
 
@@ -47,13 +47,13 @@ impl Samples {
         [&self.x, &self.y, &self.value, &self.weight].map(|lane| S::as_simd_f32s(&lane[..length]).0)
     }
 
-    /// Where the samples lie, from the window's origin: each one's x, and each one's y.
+    /// The positions of the samples relative to the window's origin: all x, then all y.
     #[inline(always)]
     pub fn places(&self) -> [&[f32]; 2] {
         [&self.x[..self.count], &self.y[..self.count]]
     }
 
-    /// Replaces each value by what `change` makes of its position and it.
+    /// Replaces each value by `change` of its position and value.
     pub fn change(&mut self, mut change: impl FnMut(f32, f32, f32) -> f32) {
         let Self { x, y, value, count, .. } = self;
         let places = x[..*count].iter().zip(&y[..*count]);
@@ -69,7 +69,7 @@ impl Samples {
             .dispatch(QuarterMeans { samples: self, along: along.map(|d| d.map(|v| v as f32)) })
     }
 
-    /// Makes room for `more` samples, and for whole lanes and the padding after them.
+    /// Makes room for `more` samples, plus whole vectors and the padding after them.
     #[inline(always)]
     fn make_room(&mut self, more: usize) {
         let room = self.count + more + RUN + PADDING;
@@ -81,9 +81,8 @@ impl Samples {
         }
     }
 
-    /// Appends `length` values of `bytes` from `at` on, for which there is room, at `y` from `x`
-    /// on. Whole lanes are written: what is too much is overwritten by the next run, or by the
-    /// padding.
+    /// Appends `length` values of `bytes` from `at` on, at `y` and from `x` on; there must be room.
+    /// Whole vectors are written: the next run, or the padding, overwrites the excess.
     #[inline(always)]
     fn push_run(&mut self, [x, y]: [f32; 2], bytes: &[u8], at: usize, length: usize) {
         const STEPS: [f32; RUN] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
@@ -126,8 +125,8 @@ impl Samples {
         self.count += length;
     }
 
-    /// Takes the weight from what lies beyond the last sample, and gives it back to where the last
-    /// window ended.
+    /// Sets the weight beyond the last sample to 0, and restores it where the previous window
+    /// ended.
     #[inline(always)]
     fn pad(&mut self) {
         self.make_room(0);
@@ -158,7 +157,7 @@ impl WithSimd for QuarterMeans<'_> {
         let zero = simd.splat_f32s(0.0);
         let mut sums = [zero; 4];
         for i in 0..count {
-            // No closure: one that is not inlined is not compiled for the processor.
+            // No closure: only inlined code is compiled for the processor.
             let a = simd.sub_f32s(simd.mul_f32s(ax, y[i]), simd.mul_f32s(ay, x[i]));
             let b = simd.sub_f32s(simd.mul_f32s(bx, y[i]), simd.mul_f32s(by, x[i]));
             let positive = simd.less_than_f32s(zero, simd.mul_f32s(a, b));
@@ -236,7 +235,7 @@ impl WithSimd for Gather<'_> {
     }
 }
 
-/// What `COUNT` rows of `image` from `top` on hold from `left` on.
+/// The `COUNT` rows of `image` from `top` on, from the column `left` on.
 #[inline(always)]
 fn rows_from<'a, const COUNT: usize>(
     image: GrayView<'a>,
@@ -246,21 +245,21 @@ fn rows_from<'a, const COUNT: usize>(
     std::array::from_fn(|k| &image.row(top + k)[left..])
 }
 
-/// Extent of each row of a window: a parallelogram's run, or the part of it near an edge. In bins.
+/// The extent of a window in each row: a run of a parallelogram, or the parts of it near an edge.
+/// In bins.
 struct WindowRows {
-    /// Middle per row, and half width, of four bands: two whose meet is the window, two that are
-    /// near an edge.
+    /// Center per row, and half width, of four bands: the intersection of the first two is the
+    /// window, the other two are along the edges.
     bands: [[f32; 2]; 4],
     /// Rows −reach … reach may be non-empty.
     reach: i64,
 }
 
-/// The runs of some rows, two in each, either of which may be empty: where they start and how long
-/// they are.
+/// The runs of some rows, two in each, either of which may be empty: their starts and lengths.
 struct Runs {
     from: [[i32; ROWS]; 2],
     lengths: [[i32; ROWS]; 2],
-    /// How long they would be together, were the image wide enough.
+    /// Their total length in an unbounded image.
     wanted: i32,
 }
 
@@ -284,9 +283,9 @@ impl WindowRows {
         Self { bands, reach: (reach + 0.5) as i64 }
     }
 
-    /// The runs of whole places, counted from `offset`, in the rows from `y` on, as far as they are
-    /// `inside` the image. Eight rows at once, with nothing but arithmetic, for the sake of
-    /// vectors.
+    /// The runs of integer positions, counted from `offset`, in the rows from `y` on, as far as
+    /// they are `inside` the image. Eight rows at once, with arithmetic only, so that it is
+    /// vectorized.
     #[inline(always)]
     fn runs(&self, y: f32, offset: f32, inside: [f32; 2]) -> Runs {
         let mut runs = Runs { from: [[0; ROWS]; 2], lengths: [[0; ROWS]; 2], wanted: 0 };
@@ -322,16 +321,16 @@ impl WindowRows {
     }
 }
 
-/// Converts a whole number below four million; any larger one gives an unspecified result. Skips
-/// the checks of `as`.
+/// Converts an integer below four million; larger ones give an unspecified result. Skips the checks
+/// of `as`.
 #[inline(always)]
 fn whole(value: f32) -> i32 {
-    // To this, one is the last of a number's bits.
+    // At this magnitude, the last bit of a number counts ones.
     const ONES: f32 = 12_582_912.0;
     (value + ONES).to_bits() as i32 - ONES.to_bits() as i32
 }
 
-/// Where a band lies in row `y`.
+/// The interval of a band in row `y`.
 #[inline(always)]
 fn band([middle, half]: [f32; 2], y: f32) -> [f32; 2] {
     [middle * y - half, middle * y + half]

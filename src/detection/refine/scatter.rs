@@ -1,19 +1,19 @@
-//! How much more or less corners scatter than the residuals of their fits predict, over all corners
+//! How much more or less corners scatter than the residuals of their fits predict, from all corners
 //! of a board.
 
-/// Differences between the halves of edges.
+/// Differences between the offsets of edge halves.
 #[derive(Debug, Default)]
 pub(super) struct Scatter {
-    /// The corner, and squares in units of the variance that its residuals predict.
+    /// The corner, and the squared difference in units of the variance that its residuals predict.
     ratios: Vec<(usize, f64)>,
 }
 
 /// Minimum edges of an estimate.
 const FEWEST_EDGES: usize = 12;
-/// The share of the smallest ratios that are averaged: occluders disturb the others.
+/// The fraction of smallest ratios that are averaged: occluders may disturb the others.
 const TRUSTED: f64 = 0.9;
-/// The mean of that share of the squares of normally distributed numbers: 1 − 2·z·φ(z)/0.9 with z =
-/// 1.645.
+/// The mean of that fraction of the squares of normally distributed numbers: 1 − 2·z·φ(z)/0.9 with
+/// z = 1.645.
 const TRUSTED_MEAN: f64 = 0.623;
 
 impl Scatter {
@@ -29,7 +29,7 @@ impl Scatter {
         }
     }
 
-    /// The factor on standard deviations that were taken from the residuals and multiplied by
+    /// The factor on standard deviations that follow from the residuals, multiplied by
     /// `of_corners`.
     pub fn std_factor(&mut self, of_corners: &[Option<f64>]) -> f64 {
         for (corner, ratio) in &mut self.ratios {

@@ -15,7 +15,7 @@ use crate::detection::refine::window::Window;
 use crate::imaging::gray::GrayView;
 
 impl Refiner {
-    /// The second fit, in a large window near the edges, with the board's priors.
+    /// The second fit, in a large window along the edges, with the board's priors.
     pub(super) fn fit_within_board(
         &mut self,
         image: GrayView<'_>,
@@ -69,8 +69,8 @@ impl Refiner {
         if second.inlier_ratio > self.thresholds.clear_inliers {
             return Some(second);
         }
-        // Many outliers may belong to another corner or a hand, or the start was too far off for so
-        // narrow a tolerance.
+        // Many outliers: another corner or a hand may be in the window, or the start was too far
+        // off for so narrow a tolerance.
         let patient = Noise {
             tolerance: noise.tolerance + self.thresholds.patient_tolerance * start.amplitude.abs(),
             ..noise
@@ -82,8 +82,8 @@ impl Refiner {
         self.fit(window, start, &noise, &options)
     }
 
-    /// A fit of a corner and its own light; `None` where that leaves hardly less than the fit in
-    /// the board's light, `second`.
+    /// A fit of a corner and its own light; `None` where its mean square is hardly less than that
+    /// of `second`, the fit under the board's light.
     fn fit_lit(
         &mut self,
         window: Window,
@@ -105,8 +105,8 @@ impl Refiner {
         (fit.mean_square < light.most_left * second.fit.mean_square).then_some(lit)
     }
 
-    /// Fits of a corner under light of its own, each after more of that is taken off; at last one
-    /// step of both together.
+    /// Alternates fits of a corner with estimates of its own light, which is subtracted; the last
+    /// step solves for both together.
     fn fit_shaded(
         &mut self,
         window: Window,

@@ -1,12 +1,12 @@
-//! Light that changes over one corner's window: a highlight, the edge of a shadow.
+//! Light that varies over one corner's window: a highlight, or the edge of a shadow.
 //!
 //! A highlight adds light to black and white alike, and its slope is taken for an offset of the
-//! edges: of the products of distances to the two edges, an offset of one edge is even in its own
+//! edges: as functions of the distances to the two edges, an offset of one edge is even in its own
 //! distance and odd in the other's, and so is a slope. The board's polynomial over all corners
 //! cannot follow it. Where a corner fits worse than the others, a polynomial of third order over
-//! its own window is fitted to what the model leaves and taken off, and the model is fitted again,
-//! and so on, while the tolerance to outliers narrows. A last step solves for both together, and
-//! its covariance is the corner's: alone, the model would take the light as known.
+//! its own window is fitted to the model's residuals and subtracted; the model is fitted again, and
+//! so on, while the tolerance to outliers narrows. A last step solves for both together and gives
+//! the corner's covariance: the model's alone would take the light as known.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -16,21 +16,21 @@ use crate::detection::refine::samples::Samples;
 
 /// Terms: x, y, x², xy, y², x³, x²y, xy², y³, and x and y times the pattern.
 const TERMS: usize = 11;
-/// Those that the light adds to black and white alike.
+/// The terms that light adds to black and white alike.
 const LIGHT_TERMS: usize = 9;
 /// Columns of the derivatives by the mean of black and white and by half their difference.
 const BY_LEVEL: usize = 4;
 const BY_AMPLITUDE: usize = 5;
-/// Prior of the terms, as a share of the samples' weight: a polynomial that the samples do not
-/// determine is none.
+/// Weak prior on the terms, as a fraction of the samples' weight: it keeps undetermined terms at 0.
 const PRIOR: f64 = 1e-6;
 
-/// Takes off `samples` the light that their last fit, whose linearization is in `columns`, leaves.
-/// `reach`: half the window's extent, in samples.
+/// Subtracts from `samples` the light in the residuals of their last fit, whose linearization is in
+/// `columns`. `reach`: half the window's extent, in samples.
 pub(super) fn take_off_shading(samples: &mut Samples, columns: &ModelColumns, reach: f64) {
     let trust = columns.values(BY_LEVEL);
     let (pattern, residuals) = (columns.values(BY_AMPLITUDE), columns.values(RESIDUAL));
-    // Each column is multiplied by the root of the sample's weight, as that by the level is.
+    // Each column is multiplied by the root of the sample's weight, which is the derivative by the
+    // level.
     let at = |slot: usize| {
         let weight = trust.get(slot).copied().unwrap_or(0.0);
         let over = if weight > 0.0 { 1.0 / weight } else { 0.0 };
@@ -56,10 +56,10 @@ pub(super) fn take_off_shading(samples: &mut Samples, columns: &ModelColumns, re
     });
 }
 
-/// Standard deviation of each term beforehand, in amplitudes: over a window, a highlight changes as
-/// much as black differs from white. Where a small window does not determine the light, this keeps
-/// it from taking all of the edge (swept: from 0.3 to no bound the rms of hard images of two salts
-/// is within 11 % of that at 1).
+/// Prior standard deviation of each term, in amplitudes: over a window, a highlight varies by about
+/// the difference of black and white. Where a small window does not determine the light, this keeps
+/// it from absorbing the edge (swept: from 0.3 to no bound the rms of hard images of two salts is
+/// within 11 % of that at 1).
 const LIGHT_STD: f64 = 1.0;
 
 /// Unknowns of the light and of the corner together.
@@ -73,11 +73,11 @@ pub(super) struct JointStep {
     pub offset_covariance: [f64; 3],
 }
 
-/// The step that makes the residuals of the linearization in `columns` as small as corner and light
-/// can together. `amplitude`: half the difference of white and black, in gray levels.
+/// The step in corner and light that minimizes the residuals of the linearization in `columns`.
+/// `amplitude`: half the difference of white and black, in gray levels.
 ///
-/// Fits of one after the other approach it slowly, and their covariance takes the light as known.
-/// `None` where the samples do not determine both.
+/// Alternating fits converge slowly, and their covariance takes the light as known. `None` where
+/// the samples do not determine both.
 pub(super) fn joint_step(
     samples: &mut Samples,
     columns: &ModelColumns,
@@ -91,7 +91,7 @@ pub(super) fn joint_step(
     for k in 0..JOINT {
         normal[(k, k)] *= 1.0 + PRIOR;
     }
-    // Those of the pattern are shares of its amplitude already.
+    // The terms of the pattern are relative to its amplitude already.
     for k in 0..TERMS {
         let unit = if k < LIGHT_TERMS { amplitude } else { 1.0 };
         normal[(k, k)] += (LIGHT_STD * unit).powi(-2);
@@ -100,7 +100,7 @@ pub(super) fn joint_step(
     let solution = factors.solve(&right);
     let step = std::array::from_fn(|k| solution[TERMS + k]);
     let (a, b) = (TERMS + OFFSETS, TERMS + OFFSETS + 1);
-    // The inverse's columns of the two offsets.
+    // The columns of the inverse for the two offsets.
     let mut covariance = SMatrix::<f64, JOINT, 2>::zeros();
     (covariance[(a, 0)], covariance[(b, 1)]) = (1.0, 1.0);
     factors.solve_mut(&mut covariance);
@@ -117,7 +117,7 @@ fn basis(x: f64, y: f64, pattern: f64) -> [f64; TERMS] {
 /// Sums over a window's samples, of which the lower half is read.
 #[derive(Default)]
 struct LightSums {
-    /// Products of each term with each other one, and with what the model leaves.
+    /// Products of each pair of terms, and of each term with the residual.
     products: [[f64; TERMS + 1]; TERMS],
     /// The samples' weight.
     total: f64,

@@ -1,32 +1,32 @@
-//! A quantity that changes smoothly over a board but for steps: the light of a board on part of
-//! which a shadow falls.
+//! A quantity that varies smoothly over a board except for steps: the light on a board partly in
+//! shadow.
 //!
-//! A polynomial spreads a step over the whole board, and its slopes are wrong everywhere. The
-//! differences between neighbors are right but for those across the step, which are outliers.
+//! A polynomial spreads a step over the whole board, so its slopes are wrong everywhere.
+//! Differences between neighbors are wrong only across the step, where they are outliers.
 
 use crate::detection::refine::field::{BoardField, FieldSample, LEAST_PIVOT, basis, dot};
 use crate::detection::refine::field_sums::{FieldSums, Solution, TERMS, highest_order, trust};
 use crate::geometry::median::{STD_PER_MAD, median_of};
 
-/// There are steps where a smooth field leaves this many times the mean square that differences
-/// between neighbors let expect: chosen, not swept; light with noise alone did not reach it once in
-/// the 500 fields of the test.
+/// There are steps where a smooth field's mean square is this many times that expected from
+/// differences between neighbors: chosen, not swept; light with noise alone did not reach it once
+/// in the 500 fields of the test.
 const STEPPED: f64 = 4.0;
-/// Weighted least squares, from the median slope on (chosen, not swept).
+/// Rounds of weighted least squares, starting from the median slope (chosen, not swept).
 const ROUNDS: usize = 4;
 
-/// Fits of differences; its buffers are kept.
+/// Fits of differences; its buffers are reused.
 #[derive(Debug, Default)]
 pub(super) struct SteppedFit {
-    /// Neighbors, by their place among the samples.
+    /// Neighbors, as indices of samples.
     pub pairs: Vec<[usize; 2]>,
     buffer: Vec<f64>,
 }
 
 impl SteppedFit {
-    /// A field of `order` at most whose slope is that of `samples` between steps; `None` where
-    /// `smooth`, which was fitted to all of them, describes them as well, or where neighbors are
-    /// too few. Its values have no meaning.
+    /// A field of at most `order` whose slope is that of `samples` between steps; `None` where
+    /// `smooth`, which was fitted to all of them, describes them as well, or where there are too
+    /// few neighbors. Only its slope is meaningful.
     pub fn slopes(
         &mut self,
         samples: &[FieldSample],
@@ -37,7 +37,7 @@ impl SteppedFit {
         let mean_square = samples.iter().map(off).sum::<f64>() / samples.len().max(1) as f64;
         let mut field = BoardField::spanning(samples);
         field.solution = self.median_slope(samples, &field)?;
-        // The variance of a difference is that of two samples.
+        // The variance of a difference is twice that of a sample.
         let expected = self.typical_square(samples, &field)? / 2.0;
         if mean_square <= STEPPED * expected {
             return None;
@@ -46,7 +46,7 @@ impl SteppedFit {
         for _ in 0..ROUNDS {
             let typical = self.typical_square(samples, &field)?;
             let mut sums = FieldSums::default();
-            // Differences leave the mean open.
+            // Differences do not determine the mean.
             sums.normal[0][0] = 1.0;
             for &pair in &self.pairs {
                 let [from, to] = pair.map(|slot| samples[slot]);
@@ -78,8 +78,8 @@ impl SteppedFit {
         Some(slope)
     }
 
-    /// The mean square by which differences are off those of `field`, if most of them are normally
-    /// distributed.
+    /// The mean square of the differences' residuals from `field`, estimated from the median as if
+    /// they were normally distributed.
     fn typical_square(&mut self, samples: &[FieldSample], field: &BoardField) -> Option<f64> {
         let Self { pairs, buffer } = self;
         buffer.clear();

@@ -1,6 +1,6 @@
-//! How much more or less corners scatter than predicted, by how straight their lines are. Noise
-//! that spans a whole corner (JPEG blocks, light that differs between corners) is in no corner's
-//! own residuals, but moves corners off their lines.
+//! How much more or less corners scatter than predicted, measured by how straight their lines are.
+//! Noise that affects a whole corner (JPEG blocks, light that differs between corners) is not in
+//! the corner's own residuals, but moves it off its lines.
 //!
 //! In a line's own frame, t along its chord and n across, a line is n = a + b·t + f(t, y), with its
 //! own a and b whatever the perspective, and one polynomial f that all lines share, in t (from its
@@ -21,19 +21,20 @@ const LINE_CURVATURE_ORDER: usize = 4;
 const LEAST_PIVOT: f64 = 1e-3;
 /// Least squares are repeated against outliers.
 const ROUNDS: usize = 2;
-/// Mean square of normally distributed numbers under the robust weights (1 + z²/6)⁻².
+/// Mean square of standard normal numbers under the robust weights (1 + z²/6)⁻².
 const TRUSTED: f64 = 0.66;
-/// The selected order takes up more than its own terms: about half of those of the other orders.
+/// Selecting the order costs more degrees of freedom than its own terms: about half of the terms of
+/// the higher orders as well.
 const CHOICE: f64 = 0.5;
-/// The variance of a mean square of this many normal numbers is 2 over their count; a little more
-/// under robust weights.
+/// The variance of the mean square of n standard normal numbers is 2/n; a little more under robust
+/// weights.
 const CHANCE: f64 = 2.5;
 /// Minimum corners of a line.
 const LEAST_LINE: usize = 3;
 /// Minimum degrees of freedom.
 const LEAST_FREE: f64 = 20.0;
-/// Beyond this ratio the scatter is not noise but lens distortion that f cannot follow; the larger,
-/// the more certain.
+/// Beyond this ratio the scatter is probably no noise but lens distortion that f cannot follow; the
+/// larger the ratio, the more certainly.
 const MOST: f64 = 1.4;
 
 /// A corner in its line's frame: t and y scaled to about −1 … 1, n in pixels.
@@ -42,7 +43,7 @@ struct Point {
     t: f64,
     y: f64,
     n: f64,
-    /// One over the variance predicted.
+    /// One over the predicted variance.
     certainty: f64,
 }
 
@@ -50,26 +51,26 @@ struct Point {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Placed {
     pub pixel: Pixel,
-    /// Covariance predicted for it: xx, xy, yy. Where edges cross at a sharp angle, a corner is
-    /// least certain along the middle between them, and more certain across each.
+    /// Its predicted covariance: xx, xy, yy. Where edges cross at an acute angle, a corner is least
+    /// certain along the bisector of that angle, and more certain across each edge.
     pub covariance: [f64; 3],
 }
 
-/// The lines of a board; keeps its buffers from board to board.
+/// The lines of a board; its buffers are reused.
 #[derive(Debug, Default)]
 pub(super) struct Straightness {
     points: Vec<Point>,
-    /// Of each point the second integrals of the curvature's terms, and n.
+    /// For each point, the second integrals of the curvature's terms, and n.
     columns: Vec<[f64; LANES]>,
-    /// Of each line, before robust weighting.
+    /// For each line, before robust weighting.
     trends: Vec<Trend>,
     /// Ends of the lines within `points`.
     ends: Vec<usize>,
     /// Remaining sum of squares and degrees of freedom, over both families of lines.
     left: f64,
     free: f64,
-    /// The parts of their edges' pixels that corners share with the next along each axis, summed,
-    /// and of how many corners.
+    /// The fractions of their edges' pixels that corners share with the next one along each axis,
+    /// summed, and the number of corners.
     shared: [f64; 2],
     windows: f64,
 }
@@ -81,8 +82,8 @@ impl Straightness {
         (self.shared, self.windows) = ([0.0; 2], 0.0);
     }
 
-    /// Takes the extent of a corner's window along each axis, as parts of the distance to the next
-    /// corner.
+    /// Takes the extent of a corner's window along each axis, as fractions of the distance to the
+    /// next corner.
     pub fn note_window(&mut self, extent: [f64; 2]) {
         for (shared, extent) in self.shared.iter_mut().zip(extent) {
             *shared += (1.0 - 0.5 / extent).max(0.0);
@@ -90,7 +91,7 @@ impl Straightness {
         self.windows += 1.0;
     }
 
-    /// Takes the lines along `axis`: for each its place and its corners in order.
+    /// Takes the lines along `axis`: for each its position and its corners in order.
     pub fn take<Line>(&mut self, axis: usize, lines: impl Iterator<Item = (f64, Line)>)
     where
         Line: Iterator<Item = Placed> + Clone,
@@ -118,12 +119,12 @@ impl Straightness {
         }
         if let Some(scatter) = scatter {
             let all = self.points.len() as f64;
-            // Offset and slope of each line, and the curvature, take degrees of freedom.
+            // Offset and slope of each line, and the curvature, use up degrees of freedom.
             let terms = solution.terms as f64 + CHOICE * (TERMS[order] - solution.terms) as f64;
             let free = (free as f64 - terms).max(1.0);
             // A smooth line absorbs more of the noise that neighbors share: of n numbers whose
-            // neighbors are correlated by ρ, a projection to the p smoothest leaves n − p −
-            // 2ρ·(n/π)·sin(πp/n).
+            // neighbors are correlated by ρ, a projection onto the p smoothest functions leaves n −
+            // p − 2ρ·(n/π)·sin(πp/n).
             let correlation = self.shared[axis] / self.windows.max(1.0);
             let smooth =
                 (std::f64::consts::PI * (1.0 - free / all)).sin() * all / std::f64::consts::PI;
@@ -133,7 +134,7 @@ impl Straightness {
         }
     }
 
-    /// The factor on standard deviations: 1 as far as the deviation is explained by chance.
+    /// The factor on standard deviations: close to 1 where chance explains the difference.
     pub fn std_factor(&self) -> f64 {
         if self.free < LEAST_FREE {
             return 1.0;
@@ -168,8 +169,8 @@ impl Straightness {
     }
 }
 
-/// What all rounds share. A struct, not a closure: all of it must be inlined to be compiled for the
-/// processor.
+/// Computations common to all rounds. A struct, not a closure: all of it must be inlined to be
+/// compiled for the processor.
 struct Preparation<'a> {
     lines: &'a mut Straightness,
 }
@@ -237,7 +238,7 @@ impl pulp::NullaryFnOnce for LineSummation<'_> {
     }
 }
 
-/// The second integrals by t of all terms of the curvature, and n beyond them.
+/// The second integrals by t of all terms of the curvature, followed by n.
 #[inline(always)]
 fn curvature_columns(point: &Point) -> [f64; LANES] {
     // By falling power of t within each order: t^p becomes t^(p+2) / ((p+1)(p+2)).
@@ -293,7 +294,7 @@ impl Trend {
                 *tilted_sum += tilted * column;
             }
         }
-        // In place of the sums: offset and slope of each column.
+        // Replaces the sums by the offset and the slope of each column.
         let [w, wt, wtt] = trend.moments;
         let unit = 1.0 / (w * wtt - wt * wt).max(1e-12);
         for k in 0..LANES {

@@ -2,13 +2,14 @@
 
 use crate::detection::refine::corner_model::CornerModel;
 
-/// The darkest gray level: half a step of eight bits. And the powers of gray levels that may be in
-/// proportion to light: beyond a linear camera's 1 and the 2.2 to 2.6 of displays on both sides.
+/// The darkest gray level: half a step of eight bits. And the range of powers that may make gray
+/// levels proportional to light: somewhat wider than from a linear camera's 1 to the 2.2 to 2.6 of
+/// displays.
 const DARKEST: f64 = 0.5;
 pub(super) const POWERS: [f64; 2] = [0.7, 3.0];
 
-/// Gray values of a pattern, 1 white and −1 black, of which a power is in proportion to light, as
-/// of a camera with a gamma.
+/// Gray values of a pattern, 1 white and −1 black, in a camera whose gray values to a power are
+/// proportional to light (its gamma).
 pub(super) struct Transfer {
     middle: f64,
     half: f64,
@@ -32,12 +33,12 @@ fn black_and_white(model: &CornerModel) -> [f64; 2] {
     [model.level - half, model.level + half].map(|gray| gray.max(DARKEST))
 }
 
-/// The power of gray values that makes the gray value midway between black and white in light that
-/// which `model` has at its edges.
+/// The power of gray values at which the mean of black and white, in light, is the gray value that
+/// `model` has at its edges.
 pub(super) fn linear_power(model: &CornerModel) -> f64 {
     let [black, white] = black_and_white(model);
     let edge = (model.level + model.gamma_term).max(DARKEST);
-    // Above the root, light at the edge is less than the mean of black and white.
+    // Above the root, the light at the edge is less than the mean of black and white.
     let mean_less_edge = |power: f64| (black / edge).powf(power) + (white / edge).powf(power) - 2.0;
     let [mut low, mut high] = POWERS;
     if mean_less_edge(high) < 0.0 {

@@ -1,4 +1,4 @@
-//! Which pixels a corner is fitted to.
+//! The window of pixels that a corner is fitted to.
 
 use crate::detection::refine::corner_model::length;
 
@@ -14,16 +14,16 @@ pub(super) struct Window {
     pub axes: [[f64; 2]; 2],
     /// Half the window's extent along each axis, as a fraction of the axis.
     pub extent: [f64; 2],
-    /// Only what lies within this many image pixels of one of the axes.
+    /// Only pixels within this distance of one of the axes, in image pixels.
     pub strip_px: f64,
     /// Side of the squares of image pixels that are averaged into one sample: 1, 2 or 4.
     pub bin: usize,
 }
 
 impl Window {
-    /// A window that ends short of the next edges, which lie at the part `free` of the axes, and
-    /// reaches at most `reach` samples along each axis, in bins that match the resolution that the
-    /// blur leaves.
+    /// A window that ends short of the next edges, which lie at the fraction `free` of the axes. It
+    /// reaches at most `reach` samples along each axis; the bins match the resolution that the blur
+    /// leaves.
     pub fn new(origin: [f64; 2], axes: [[f64; 2]; 2], blur_px: f64, reach: f64, free: f64) -> Self {
         let sigma = sigma_px(blur_px);
         let area = (axes[0][0] * axes[1][1] - axes[0][1] * axes[1][0]).abs();
@@ -48,15 +48,15 @@ impl Window {
         Self { bin: (times * self.bin).min(4), ..self }
     }
 
-    /// The same window along edges whose directions are known by now, without the pixels far from
-    /// both edges: they determine black and white, of which there is enough, but not the edges.
+    /// The same window along edges whose directions are now known, without the pixels far from both
+    /// edges: these determine black and white, which are known well enough, but not the edges.
     pub fn along_edges(self, along: [[f64; 2]; 2], blur_px: f64) -> Self {
         let axes = [0, 1].map(|k| along[k].map(|v| v * length(self.axes[k])));
         Self { axes, strip_px: 2.7 * sigma_px(blur_px) + 0.3, ..self }
     }
 }
 
-/// Standard deviation across an edge, the pixel's own width counted.
+/// Standard deviation across an edge, including the pixel's own width.
 fn sigma_px(blur_px: f64) -> f64 {
     (blur_px * blur_px + PIXEL_VARIANCE).sqrt()
 }

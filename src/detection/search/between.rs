@@ -1,9 +1,9 @@
 //! Copies of an image at scales that its [`Pyramid`] lacks: two thirds of each level, and twice the
 //! image.
 //!
-//! A measurement has a window of fixed size in pixels, and shows a corner at some scales only. A
-//! level's two thirds lie halfway between it and the next one. Twice the image shows corners whose
-//! squares are separated by less than that window: a gap of 3 px is one of 6 px.
+//! A measurement has a window of fixed size in pixels, and finds a corner only at some scales. Two
+//! thirds of a level lie halfway between it and the next one. Twice the image shows corners that
+//! are closer than that window: a gap of 3 px becomes one of 6 px.
 
 use crate::detection::search::pyramid::Pyramid;
 use crate::imaging::gray::{GrayImage, GrayView};
@@ -51,7 +51,7 @@ impl BetweenLevels {
 }
 
 /// Each pixel is the mean of the 1.5×1.5 pixels that it covers: two thirds of one and a third of
-/// the next, which lies up to a twelfth of a pixel of the image off its middle.
+/// the next. The center is off by up to a twelfth of a pixel of the image.
 fn reduce_by_a_third(image: GrayView<'_>, into: &mut GrayImage) {
     into.reshape(image.width() / 3 * 2, image.height() / 3 * 2);
     pulp::Arch::new().dispatch(ReduceByAThird { image, into });
@@ -79,7 +79,7 @@ impl pulp::NullaryFnOnce for ReduceByAThird<'_> {
     }
 }
 
-/// Each two of `out` from three pixels of the `outer` row, in full, and of half the `middle` one.
+/// Each two of `out` from three pixels of the `outer` row and half of those of the `middle` row.
 #[inline(always)]
 fn thirds(outer: &[u8], middle: &[u8], out: &mut [u8]) {
     let pixels = outer.chunks_exact(3).zip(middle.chunks_exact(3));
@@ -91,8 +91,8 @@ fn thirds(outer: &[u8], middle: &[u8], out: &mut [u8]) {
     }
 }
 
-/// Bilinear: a pixel is nine sixteenths of the one it lies in, and three, three and one of those
-/// next to it.
+/// Bilinear: nine sixteenths of the pixel that it lies in, and three, three and one of the adjacent
+/// ones.
 fn double(image: GrayView<'_>, into: &mut GrayImage, mixed: &mut Vec<u16>) {
     into.reshape(2 * image.width(), 2 * image.height());
     pulp::Arch::new().dispatch(Double { image, into, mixed });
@@ -102,7 +102,7 @@ fn double(image: GrayView<'_>, into: &mut GrayImage, mixed: &mut Vec<u16>) {
 struct Double<'a> {
     image: GrayView<'a>,
     into: &'a mut GrayImage,
-    /// Scratch: four times a row between two rows, its ends doubled.
+    /// Scratch: four times a row between two rows, with its ends repeated.
     mixed: &'a mut Vec<u16>,
 }
 

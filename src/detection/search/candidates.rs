@@ -1,8 +1,8 @@
-//! Which pixels could be chessboard corners: the strongest local maxima of the response, each
-//! measured a second time.
+//! Candidates for chessboard corners: the strongest local maxima of the response, each verified by
+//! a second measurement.
 //!
 //! However cluttered the image, only a bounded number of maxima and at most
-//! [`CandidateThresholds::most`] candidates go on: the time is bounded by the number of pixels.
+//! [`CandidateThresholds::most`] candidates pass: the time is bounded by the number of pixels.
 
 use crate::detection::measure::Probe;
 use crate::detection::measure::cross::{CrossWindow, Vec2};
@@ -10,33 +10,33 @@ use crate::detection::search::response::{HALF_RING, REACH, Response};
 use crate::detection::thresholds::chessboard::CandidateThresholds;
 use crate::imaging::gray::GrayView;
 
-/// Side of the tiles of which the largest response is examined, in pixels.
+/// Side of the tiles whose largest response is examined, in pixels.
 const TILE: usize = 4;
-/// Tiles that are skipped together where none is strong.
+/// Tiles that are skipped together if none is strong.
 const GROUP: usize = 32;
 
 /// A candidate for a chessboard corner.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::detection) struct Candidate {
-    /// Where, in pixels of the level.
+    /// Its position, in pixels of the level.
     pub pixel: Vec2,
-    /// Unit vectors along the two edges, in an order such that the bright wedges are those from the
-    /// first to the second and opposite, from +x to +y.
+    /// Unit vectors along the two edges, ordered so that the bright wedges are those from the first
+    /// to the second and opposite, from +x to +y.
     pub edges: [Vec2; 2],
-    /// Bright wedges less dark wedges, in gray levels.
+    /// Bright minus dark wedges, in gray levels.
     pub contrast: f32,
 }
 
 impl Candidate {
-    /// Whether its edges are these to within an angle of so large a sine, each in its place.
+    /// Whether each of its edges agrees with these, up to an angle with this sine.
     pub(in crate::detection) fn has_edges(&self, edges: [Vec2; 2], most_sine: f32) -> bool {
         let sine = |a: Vec2, b: Vec2| (a.x * b.y - a.y * b.x).abs();
         (0..2).all(|k| sine(self.edges[k], edges[k]) < most_sine)
     }
 }
 
-/// The edges of a candidate, in its order, that is a lattice's crossing with these `steps` to its
-/// neighbors and a contrast of the sign of `polarity` between them.
+/// The edges, in a candidate's order, of a lattice crossing with these `steps` to its neighbors and
+/// a contrast with the sign of `polarity` between them.
 pub(in crate::detection) fn edges_along(steps: [Vec2; 2], polarity: f32) -> [Vec2; 2] {
     let [first, second] = steps.map(|step| step / step.norm().max(1e-3));
     if polarity > 0.0 { [first, second] } else { [second, first] }
@@ -51,7 +51,7 @@ pub(in crate::detection) struct CandidateSearch {
     groups: Vec<u8>,
     /// The strongest tiles: the largest response and where it is.
     sorted: Vec<(u8, u32, u32)>,
-    /// Upper bound on their number.
+    /// The most tiles to keep.
     most_tiles: usize,
     maxima: [Vec<u8>; 2],
     /// The candidates found last, in raster order of tiles.
@@ -104,7 +104,7 @@ impl CandidateSearch {
                 .chunks(GROUP)
                 .map(|tiles| tiles.iter().fold(0, |most, &tile| tile.max(most))),
         );
-        // At least that many tiles are as strong: weaker ones are never kept.
+        // At least this many tiles are as strong, so weaker ones are never kept.
         let mut counts = [0; 256];
         self.groups.iter().for_each(|&group| counts[usize::from(group)] += 1);
         let strongest = counts.iter().rposition(|&count| count > 0).unwrap_or(0);
@@ -146,7 +146,7 @@ impl CandidateSearch {
         least: usize,
         kept: usize,
     ) {
-        // Where the first of each strength goes.
+        // The position of the first tile of each strength.
         let mut stronger = 0;
         for slot in counts[least..].iter_mut().rev() {
             stronger += std::mem::replace(slot, stronger);
@@ -176,11 +176,11 @@ impl CandidateSearch {
     }
 }
 
-/// The largest of each tile of one row of tiles. A struct, not a closure: all of it must be inlined
+/// The maximum of each tile in one row of tiles. A struct, not a closure: all of it must be inlined
 /// to be compiled for the processor.
 struct TileMaxima<'a> {
     rows: [&'a [u8]; TILE],
-    /// Scratch: the largest of each column, then of each two columns.
+    /// Scratch: the maximum of each column, then of each two columns.
     maxima: &'a mut [Vec<u8>; 2],
     tiles: &'a mut [u8],
 }
@@ -229,7 +229,8 @@ fn is_peak(response: &Response, value: u8, x: usize, y: usize) -> bool {
     before < value && after <= value
 }
 
-/// Reads the two edges from the ring about (`x`, `y`) and the exact place from a window along them.
+/// Estimates the two edges from the ring around (`x`, `y`), and the exact position from a window
+/// along them.
 fn examine(probe: Probe<'_>, x: usize, y: usize) -> Option<Candidate> {
     let center = Vec2::new(x as f32, y as f32);
     let (image, thresholds) = (probe.image, &probe.thresholds.candidates);
@@ -249,13 +250,13 @@ fn examine(probe: Probe<'_>, x: usize, y: usize) -> Option<Candidate> {
     holds.then_some(Candidate { pixel: cross.center, edges, contrast: cross.contrast })
 }
 
-/// The edges that leave the middle of the ring: it must cross its own middle gray four times, at
-/// opposite places in pairs.
+/// The edges through the middle of the ring. The ring must cross its own middle gray four times, in
+/// two pairs of opposite places.
 fn ring_edges(image: GrayView<'_>, [x, y]: [usize; 2], least_straight: f32) -> Option<[Vec2; 2]> {
     let ring = ring_about(image, x, y)?;
     let (least, most) = (ring.into_iter().fold(255, u8::min), ring.into_iter().fold(0, u8::max));
     let twice_middle = u16::from(least) + u16::from(most);
-    // Above half of an odd sum is above it rounded down.
+    // The integer comparison is exact: above half of an odd sum means above that half rounded down.
     let middle_gray = (twice_middle / 2) as u8;
     let mut above = 0u16;
     for (k, &gray) in ring.iter().enumerate() {
@@ -288,7 +289,8 @@ fn ring_edges(image: GrayView<'_>, [x, y]: [usize; 2], least_straight: f32) -> O
     Some(if starts_rising { [first, second] } else { [second, -first] })
 }
 
-/// The pixels of the ring about (`x`, `y`), in order of their angle; `None` too near to the border.
+/// The pixels of the ring around (`x`, `y`), in order of their angle; `None` too close to the
+/// border.
 fn ring_about(image: GrayView<'_>, x: usize, y: usize) -> Option<[u8; 16]> {
     const SIDE: usize = 2 * REACH + 1;
     let (left, top) = (x.checked_sub(REACH)?, y.checked_sub(REACH)?);

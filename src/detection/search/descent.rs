@@ -1,4 +1,4 @@
-//! A grid found on a coarse level, taken down to the image itself and across occluders.
+//! Takes a grid found on a coarse level down to the image itself, and across occluders.
 
 use crate::detection::grid::extent::{exceeds, is_whole, most_corners};
 use crate::detection::grid::{Bounds, Grid};
@@ -6,13 +6,14 @@ use crate::detection::measure::prediction::sharpen_all;
 use crate::detection::search::growth::Growth;
 use crate::detection::search::level::SearchScene;
 
-/// Lines that an occluder may hide beyond the grid's own, on each side.
+/// The most lines beyond the grid's own that an occluder may hide, on each side.
 const MOST_HIDDEN_LINES: i32 = 3;
-/// What is found across one occluder may show the way across the next.
+/// The most bridges, one after the other: corners beyond one occluder may help to cross the next.
 const BRIDGES: usize = 2;
 
 impl Growth {
-    /// Takes `grid` from `level` to the image itself, and searches for missing corners on the way.
+    /// Takes `grid` from `level` to the image itself, and searches for missing corners on each
+    /// level.
     pub(in crate::detection) fn descend(
         &mut self,
         scene: &SearchScene<'_>,
@@ -48,8 +49,8 @@ impl Growth {
         }
     }
 
-    /// Searches across occluders for the rest of a board of which a good part is found. True if
-    /// there is more of it.
+    /// Searches across occluders for the rest of a board of which a good part is found. Returns
+    /// true if more of it is found.
     pub(in crate::detection) fn bridge_occluders(
         &mut self,
         scene: &SearchScene<'_>,

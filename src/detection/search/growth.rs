@@ -12,10 +12,10 @@ use crate::detection::search::seeds::{Neighborhood, Seed};
 use crate::detection::search::stretch::Stretch;
 use crate::detection::thresholds::chessboard::WindowThresholds;
 
-/// Correlation of a corner of a seed before it is measured: of a candidate only that it is one.
+/// Score of a seed's corner until it is measured in the grid: so far it is only a candidate.
 const SEED_SCORE: f32 = 0.5;
 
-/// Grows grids; its queue is kept from grid to grid.
+/// Grows grids; its queue is reused.
 #[derive(Debug, Default)]
 pub(in crate::detection) struct Growth {
     queue: VecDeque<(i32, i32)>,
@@ -57,7 +57,7 @@ impl Growth {
         self.grow_to(probe, grid, windows, usize::MAX);
     }
 
-    /// The same, up to `most` corners.
+    /// The same, until the grid has `most` corners.
     pub(in crate::detection) fn grow_to(
         &mut self,
         probe: Probe<'_>,
@@ -86,8 +86,7 @@ impl Growth {
         }
     }
 
-    /// Continues from the corners of `grid` to candidates farther off than predicted, and grows
-    /// from there.
+    /// Extends `grid` to candidates that are farther away than predicted, and grows it from there.
     pub(in crate::detection) fn reach(
         &mut self,
         probe: Probe<'_>,
@@ -111,8 +110,7 @@ impl Growth {
         }
     }
 
-    /// Searches, within `bounds`, the positions that growth did not reach, and grows from what is
-    /// found.
+    /// Searches the free positions within `bounds`, and grows the grid from each corner found.
     pub(in crate::detection) fn bridge(
         &mut self,
         probe: Probe<'_>,

@@ -17,12 +17,12 @@ use crate::detection::verify::ends::{SeenEnds, seen_ends};
 use crate::detection::verify::placement::{BoardPlacement, place};
 use crate::geometry::board::BoardSize;
 
-/// What is searched.
+/// The image to search.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::detection) struct SearchScene<'a> {
     /// The image itself, with the thresholds.
     pub probe: Probe<'a>,
-    /// Its smaller copies.
+    /// Its pyramid.
     pub pyramid: &'a Pyramid,
     /// The board searched for.
     pub board: BoardSize,
@@ -35,7 +35,7 @@ impl<'a> SearchScene<'a> {
     }
 }
 
-/// Searches level by level; memory is kept from image to image.
+/// Searches level by level; its buffers are reused from image to image.
 #[derive(Debug, Default)]
 pub(in crate::detection) struct LevelSearch {
     pub(in crate::detection) response: Response,
@@ -67,12 +67,12 @@ impl GridOutcome {
 }
 
 impl LevelSearch {
-    /// Begins with another image.
+    /// Starts with another image.
     pub(in crate::detection) fn forget(&mut self) {
         self.best = None;
     }
 
-    /// Computes the response of one in `every` rows of `level`, and its candidates.
+    /// Computes the response of one in `every` rows of `level`, and from it the candidates.
     pub(in crate::detection) fn respond(
         &mut self,
         scene: &SearchScene<'_>,
@@ -84,8 +84,8 @@ impl LevelSearch {
         self.candidates.search(probe, &self.response, scene.board.corner_count());
     }
 
-    /// Grows grids from the candidates of `level`, whose squares have sides up to `reach_px`. A
-    /// whole board is left in `part`, else the best part so far.
+    /// Grows grids from the candidates of `level`, for squares with sides up to `reach_px`. Leaves
+    /// a whole board, or the best part so far, in `part`.
     pub(in crate::detection) fn search(
         &mut self,
         scene: &SearchScene<'_>,
@@ -155,7 +155,7 @@ impl LevelSearch {
         grid.members.len() >= scene.probe.thresholds.search.least_grown
     }
 
-    /// Candidates that are corners of the grid (even a rejected one) start no other grid.
+    /// Candidates that are corners of the grid (even of a rejected one) do not start another grid.
     fn spend_grid(&mut self, same_px: f32) {
         let Self { neighborhood, candidates, grid, used, .. } = self;
         for p in grid.members.iter().filter_map(|&(i, j)| grid.pixel(i, j)) {
@@ -163,7 +163,7 @@ impl LevelSearch {
         }
     }
 
-    /// Nor do those of the best part, which is kept in pixels of the image.
+    /// Neither do those of the best part, which is in pixels of the image.
     fn spend_part(&mut self, level: usize, same_px: f32) {
         let Self { neighborhood, candidates, part, used, .. } = self;
         let (scale, offset) = ((1 << level) as f32, Vec2::repeat(0.5));
@@ -189,7 +189,7 @@ impl LevelSearch {
             evidence.too_large = true;
             return GridOutcome::other(bounds);
         }
-        // A grid this small that grows beyond the whole board on a finer level is a stripe pattern.
+        // A grid this small that outgrows the whole board on a finer level is a stripe pattern.
         let small = grid.members.len() < thresholds.least_part;
         growth.descend(scene, grid, level);
         if small && grid.members.len() >= most_corners(board) {
@@ -198,7 +198,7 @@ impl LevelSearch {
         if !verify(probe, grid) {
             return GridOutcome::Nothing;
         }
-        // A grid that was rejected on a coarser level is not bridged again.
+        // A grid that is no larger than one that was bridged before is not bridged again.
         let verified = grid.members.len();
         if verified >= evidence.bridged + thresholds.worth_bridging {
             evidence.bridged = verified;
@@ -240,9 +240,9 @@ impl LevelSearch {
     }
 }
 
-/// The bounds of the grid of which `grid`, as large as the whole board, is a part: corners beyond
-/// it that a coarser level had no room to measure, two at least on a line. `None` if there are
-/// none.
+/// The bounds of a larger grid of which `grid`, as large as the whole board, is a part: there are
+/// corners beyond it, at least two on a line, that a coarser level could not measure. `None` if
+/// there are none.
 fn larger_bounds(
     scene: &SearchScene<'_>,
     growth: &mut Growth,
@@ -265,7 +265,8 @@ fn larger_bounds(
     None
 }
 
-/// Where the board can lie in the grid, given all its visible ends.
+/// Where the board can lie in the grid, given its visible ends. `None` if even the possible ends
+/// rule it out.
 fn placement(
     scene: &SearchScene<'_>,
     grid: &Grid,

@@ -37,17 +37,18 @@ use crate::imaging::gray::GrayView;
 /// On all but the coarsest level one row in this many is searched: a response is wider than that,
 /// and a board without a single visible square would have been found on the level above.
 const ROW_STEP: usize = 2;
-/// Shortest image of a square: a board whose squares are smaller is not searched for, in pixels.
+/// Least side of a square in the image, in pixels: boards with smaller squares are not searched
+/// for.
 const LEAST_SQUARE_PX: usize = 4;
 
-/// Memory of the search, kept from image to image.
+/// Buffers of the search, reused from image to image.
 #[derive(Debug, Default)]
 pub(in crate::detection) struct SearchBuffers {
     pub(in crate::detection) pyramid: Pyramid,
     pub(in crate::detection) levels: LevelSearch,
 }
 
-/// A board found in an image, not refined yet.
+/// A board found in an image, before refinement.
 #[derive(Debug)]
 pub(in crate::detection) struct FoundGrid<'b> {
     /// Its corners, in pixels of the image.

@@ -1,7 +1,7 @@
-//! Smaller copies of an image, each pixel the mean of 2×2 of the level below.
+//! An image pyramid: each pixel of a level is the mean of 2×2 of the level below.
 //!
-//! The coarse level is searched first: it costs a fraction of the image, and blur, motion and noise
-//! shrink with it. Level 0 is the image itself, which is never copied.
+//! The coarse level is searched first: it takes a fraction of the time, and blur, motion and noise
+//! are smaller there. Level 0 is the image itself, which is never copied.
 
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::gray::GrayView;
@@ -33,8 +33,8 @@ impl Pyramid {
         self.extend(image, coarsest);
     }
 
-    /// Builds those of the levels up to `coarsest` that are not built yet, of the `image` that the
-    /// others were built from.
+    /// Builds the levels up to `coarsest` that are not built yet; `image` must be that of the other
+    /// levels.
     pub(in crate::detection) fn extend(&mut self, image: GrayView<'_>, coarsest: usize) {
         if self.levels.len() < coarsest {
             self.levels.resize_with(coarsest, LevelPixels::default);
@@ -65,7 +65,7 @@ impl Pyramid {
     }
 }
 
-/// The coarsest level: about 150 pixels and at least `cells` × 7 on its longer side.
+/// The coarsest level: its longer side has at least about 150 pixels, and at least `cells` × 7.
 pub(in crate::detection) fn coarsest_level(size: ImageSize, cells: usize) -> usize {
     let longer = size.width.max(size.height) as usize;
     let least = 150.max(cells * 7);

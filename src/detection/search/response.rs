@@ -1,20 +1,20 @@
 //! How much each pixel resembles the center of four chessboard squares.
 //!
-//! On a ring of 16 pixels about the point, opposite pixels of a chessboard corner are alike, and
-//! the means of opposite pairs differ from pair to pair: bright along one diagonal, dark along the
-//! other. An edge has unlike opposites; a stripe has a middle unlike its ring. So, with a_k the
-//! mean and d_k the difference of the k-th of eight opposite pairs,
+//! On a ring of 16 pixels around a chessboard corner, opposite pixels are alike, and the means of
+//! opposite pairs differ: bright along one diagonal, dark along the other. At an edge opposite
+//! pixels differ; on a stripe the middle differs from the ring. So, with a_k the mean and d_k the
+//! difference of the k-th of eight opposite pairs,
 //!
 //! > response = (max a − min a) − mean d − 2·|middle − mean a|
 //!
 //! after Bennett and Lasenby, "ChESS – quick and robust detection of chess-board features" (CVIU
 //! 118, 2014), with the range of the eight means in place of their sums over pairs at right angles,
-//! so that a board seen at a slant, whose squares are acute, still answers. All in saturating
-//! eight-bit arithmetic, 32 pixels an instruction where there is AVX2.
+//! so that a board seen at a slant, whose squares have acute angles, still responds. All in
+//! saturating eight-bit arithmetic, 32 pixels per instruction with AVX2.
 
 use crate::imaging::gray::GrayView;
 
-/// How far the ring reaches: no response is computed nearer to the border than this.
+/// Radius of the ring: no response is computed closer to the border than this.
 pub(in crate::detection) const REACH: usize = 4;
 
 /// Half of the ring, in order of its angle from +x towards +y; the other half is opposite.
@@ -30,12 +30,12 @@ pub(in crate::detection) struct Response {
 }
 
 impl Response {
-    /// Computes the response of `image` in one of `every` rows; 0 in the others, and within
+    /// Computes the response of `image` in one of `every` rows; it is 0 in the others, and within
     /// [`REACH`] of the border.
     pub(in crate::detection) fn compute(&mut self, image: GrayView<'_>, every: usize) {
         (self.width, self.height) = (image.width(), image.height());
         let (width, height) = (self.width, self.height);
-        // Never made smaller: what is added would be written twice.
+        // The buffer never shrinks: growing it again would write it twice.
         if self.values.len() < width * height {
             self.values.resize(width * height, 0);
         }
@@ -65,12 +65,12 @@ impl Response {
     }
 }
 
-/// The rows that are not at the border. A struct, not a closure: all of it must be inlined to be
-/// compiled for the processor.
+/// The rows away from the border. A struct, not a closure: all of it must be inlined to be compiled
+/// for the processor.
 struct RingRows<'a> {
     image: GrayView<'a>,
     values: &'a mut [u8],
-    /// One of so many rows is computed.
+    /// One of this many rows is computed.
     every: usize,
 }
 
@@ -104,9 +104,9 @@ fn absolute_difference(a: u8, b: u8) -> u8 {
     a.max(b) - a.min(b)
 }
 
-/// A function of two neighbors at a time, of eight: the shape of a mean, a most and a least.
-/// Written out, because a closure in the loop over pixels may be left uninlined, and then none of
-/// it is vectorised.
+/// Folds eight values pairwise with a function of two: mean, maximum or minimum. Written out,
+/// because a closure in the loop over pixels may not be inlined, and then the loop is not
+/// vectorized.
 macro_rules! of_eight {
     ($f:path, $v:expr) => {
         $f($f($f($v[0], $v[1]), $f($v[2], $v[3])), $f($f($v[4], $v[5]), $f($v[6], $v[7])))

@@ -1,6 +1,6 @@
-//! Four candidates that close a square of a chessboard: where a grid starts.
+//! Seeds of a grid: four candidates that close a square of a chessboard.
 //!
-//! From a candidate its two edges lead to its neighbors, whose polarity is the opposite; if both
+//! From a candidate its two edges lead to its neighbors, which have the opposite polarity; if both
 //! paths to the fourth corner end at the same candidate, the four are very likely one square.
 
 use crate::detection::measure::cross::Vec2;
@@ -19,13 +19,13 @@ pub(in crate::detection) struct Seed {
     pub bright: bool,
 }
 
-/// Three corners of one square, at (0, 0), (1, 0) and (0, 1) of the grid's axes, and where the
-/// edges that leave the last two meet.
+/// Three corners of one square, at (0, 0), (1, 0) and (0, 1) of the grid's axes, and the
+/// intersection of the edges from the last two.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::detection) struct OpenSeed {
     /// Indices of the candidates.
     pub corners: [usize; 3],
-    /// The fourth corner, by the edges of the second and the third.
+    /// The fourth corner: the intersection of the edges from the second and the third.
     pub fourth: Vec2,
     /// Whether the square itself is bright.
     pub bright: bool,
@@ -49,7 +49,7 @@ impl Default for Neighborhood {
 }
 
 impl Neighborhood {
-    /// An empty one, whose links are held to these thresholds.
+    /// An empty one with these thresholds for links.
     pub(in crate::detection) fn new(thresholds: SeedThresholds) -> Self {
         Self {
             thresholds,
@@ -61,7 +61,7 @@ impl Neighborhood {
         }
     }
 
-    /// Holds the next links to these thresholds.
+    /// Sets the thresholds for the next links.
     pub(in crate::detection) fn set_thresholds(&mut self, thresholds: SeedThresholds) {
         self.thresholds = thresholds;
     }
@@ -104,8 +104,8 @@ impl Neighborhood {
         (at(p.x, self.across), at(p.y, self.down))
     }
 
-    /// The square that starts at candidate `first`, if its neighbors close one within `reach`
-    /// pixels a side.
+    /// The square that starts at candidate `first`, if its neighbors close one with sides of at
+    /// most `reach` pixels.
     pub(in crate::detection) fn seed(
         &mut self,
         candidates: &[Candidate],
@@ -129,7 +129,8 @@ impl Neighborhood {
         None
     }
 
-    /// The same where the fourth corner is no candidate, in one of the four quarters about `first`.
+    /// The same where the fourth corner is no candidate, in one of the four quarters around
+    /// `first`.
     pub(in crate::detection) fn open_seed(
         &mut self,
         candidates: &[Candidate],
@@ -170,8 +171,8 @@ impl Neighborhood {
             self.visit_ring(bx, by, ring, |index| {
                 let other = &candidates[index];
                 let step = other.pixel - origin.pixel;
-                // The way along an edge and the way off it together are no shorter than the way
-                // straight there.
+                // The sum of the distances along and across an edge is at least the straight
+                // distance.
                 if step.norm_squared() >= farthest * farthest {
                     return;
                 }
@@ -195,7 +196,7 @@ impl Neighborhood {
         links
     }
 
-    /// The candidate nearest to `place` of those that `fits`, within `reach` pixels.
+    /// The candidate nearest to `place` among those that `fits` accepts, within `reach` pixels.
     pub(in crate::detection) fn nearest(
         &self,
         candidates: &[Candidate],
@@ -260,14 +261,14 @@ impl Neighborhood {
     }
 }
 
-/// One of the four ways along the edges of `candidate`.
+/// One of the four directions along the edges of `candidate`.
 fn direction(candidate: &Candidate, quarter: usize) -> Vec2 {
     let edge = candidate.edges[quarter % 2];
     if quarter < 2 { edge } else { -edge }
 }
 
-/// The way along the edge that two neighbors share: the mean of what each sees of it. Motion blur
-/// rotates the edges of a corner by some degrees, and those of its neighbors, whose colors are
+/// The direction of the edge that two neighbors share: the mean of both corners' estimates. Motion
+/// blur rotates the edges of a corner by some degrees, and those of its neighbors, whose colors are
 /// exchanged, by as much the other way.
 fn common_direction(origin: &Candidate, other: &Candidate, quarter: usize) -> Vec2 {
     let own = direction(origin, quarter);
@@ -276,15 +277,15 @@ fn common_direction(origin: &Candidate, other: &Candidate, quarter: usize) -> Ve
     sum / sum.norm()
 }
 
-/// Which of the four ways leads most nearly along `step`.
+/// Which of the four directions is closest to `step`.
 fn nearest_direction(candidate: &Candidate, step: Vec2) -> usize {
     let along = candidate.edges.map(|edge| edge.dot(&step));
     let edge = usize::from(along[1].abs() > along[0].abs());
     if along[edge] > 0.0 { edge } else { edge + 2 }
 }
 
-/// Neighbors on a board share their edges' directions, with the bright wedges where the other has
-/// the dark ones.
+/// Whether two candidates can be neighbors: their edges have the same directions, and one has the
+/// bright wedges where the other has the dark ones.
 fn opposite_colors(p: &Candidate, q: &Candidate, edge_angle: f32) -> bool {
     let sine = |a: Vec2, b: Vec2| (a.x * b.y - a.y * b.x).abs();
     sine(p.edges[0], q.edges[1]) < edge_angle && sine(p.edges[1], q.edges[0]) < edge_angle

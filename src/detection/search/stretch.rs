@@ -1,5 +1,5 @@
-//! A corner farther off than its neighbors predict, as where a lens compresses the board: found at
-//! a candidate.
+//! Finds corners that are farther away than their neighbors predict, as where a lens compresses the
+//! board; they must be at a candidate.
 
 use crate::detection::grid::{Grid, Node, in_steps};
 use crate::detection::measure::Probe;
@@ -9,11 +9,11 @@ use crate::detection::measure::prediction::Prediction;
 use crate::detection::search::candidates::{Candidate, edges_along};
 use crate::detection::search::seeds::Neighborhood;
 
-/// A position beside a corner at which nothing was found, to be searched for farther off.
+/// A free position next to a corner where nothing was found, to be searched for farther away.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::detection) struct Stretch {
     place: Prediction,
-    /// The corner it lies beside, and along which of the steps, forward or back.
+    /// The corner next to it, and the direction: along which of the steps, forward or back.
     from: Node,
     axis: usize,
     forward: f32,
@@ -39,7 +39,7 @@ impl Stretch {
         })
     }
 
-    /// The corner there: at a candidate of the right polarity, with an edge all the way to it.
+    /// The corner there: at a candidate of the right polarity, with an edge along the whole way.
     pub(in crate::detection) fn measure(
         &self,
         probe: Probe<'_>,
@@ -51,8 +51,8 @@ impl Stretch {
         steps[self.axis] = (at - self.from.pixel) * self.forward;
         let node = Prediction { expected: at, steps, ..self.place }
             .measure(probe, probe.thresholds.windows.wide())?;
-        // Beyond +i, the square on the side of +v has the opposite of the farther corner's
-        // polarity; a quarter turn changes the sign.
+        // The quadrant between +i and +v has the corner's own polarity, and the next quadrant the
+        // opposite one: seen from the farther corner, this edge goes back.
         let (aside, sign) =
             if self.axis == 0 { (steps[1], self.forward) } else { (steps[0], self.forward) };
         let contrast = -0.5 * (node.contrast.abs() + self.from.contrast.abs()) * polarity * sign;
@@ -61,7 +61,7 @@ impl Stretch {
             .map(|_| node)
     }
 
-    /// Where the nearest candidate lies whose edges and position suit.
+    /// The position of the nearest candidate whose edges and position fit.
     fn candidate(
         &self,
         probe: Probe<'_>,

@@ -1,5 +1,5 @@
-//! The edges between the corners of a whole board: bright on one side and dark on the other,
-//! alternately.
+//! The edges between the corners of a whole board: each is bright on one side and dark on the
+//! other, in alternation.
 
 use crate::detection::grid::{Grid, Node};
 use crate::detection::measure::Probe;
@@ -8,11 +8,11 @@ use crate::detection::measure::edges::{differences, sample};
 use crate::geometry::board::BoardSize;
 use crate::imaging::gray::GrayView;
 
-/// An edge between two corners, by their index in the board's order.
+/// An edge between two corners, as their indices in the board's order.
 #[derive(Debug, Clone, Copy)]
 struct Edge {
     ends: [usize; 2],
-    /// How much brighter the side is that should be, at three positions.
+    /// How much brighter the side is that should be bright, at three positions.
     differences: [f32; 3],
 }
 
@@ -22,7 +22,8 @@ pub(super) struct Followed {
     /// Each corner's offset from its prediction.
     pub(super) off: Vec<Option<Vec2>>,
     edges: Vec<Edge>,
-    /// Sum of differences, edges, and edges that hold, corner by corner.
+    /// For each corner: the sum of differences, the number of edges, and the number of edges that
+    /// hold.
     around: Vec<(f32, u32, u32)>,
 }
 
@@ -34,8 +35,8 @@ fn nearest(image: GrayView<'_>, p: Vec2) -> Option<f32> {
 }
 
 impl Followed {
-    /// Measures the edges of the whole board in `grid`; whether enough of them hold, and at each
-    /// corner half of them.
+    /// Measures the edges of the whole board in `grid`. Returns whether enough of them hold, and at
+    /// least half of them at each corner.
     pub(super) fn edges_hold(
         &mut self,
         probe: Probe<'_>,
@@ -85,7 +86,7 @@ impl Followed {
         for index in 0..board.corner_count() {
             let (i, j) = ((index % cols) as i32, (index / cols) as i32);
             let (Some(node), Some([u, v])) = (grid.get(i, j), grid.steps(i, j)) else { continue };
-            // In large squares a single pixel is as good.
+            // In large squares the nearest pixel is as good as interpolation.
             let is_large = u.norm_squared().min(v.norm_squared()) > large;
             for (other, at, aside) in [((i + 1, j), index + 1, v), ((i, j + 1), index + cols, u)] {
                 let Some(end) = grid.pixel(other.0, other.1) else { continue };

@@ -1,7 +1,8 @@
-//! The board of the last image, and each of its corners measured where it is predicted now.
+//! The board of the last image, and the measurement of its corners where they are predicted in the
+//! next.
 //!
-//! A corner's offset from its prediction predicts its neighbors' offsets: but for the first, one
-//! small window is enough, as narrow as the blur allows.
+//! A corner's offset from its prediction predicts its neighbors' offsets, so except for the first
+//! corner one small window is enough, as narrow as the blur allows.
 
 use crate::detection::grid::{Grid, Node};
 use crate::detection::measure::Probe;
@@ -15,7 +16,7 @@ use crate::geometry::board::BoardSize;
 #[derive(Debug, Default)]
 pub(super) struct LastBoard {
     pub(super) corners: LastCorners,
-    /// Whether the square beyond the first corner, towards the board's middle, is bright.
+    /// Whether the square between the first corner and the board's middle is bright.
     pub(super) bright: bool,
     /// Width of the blur across its edges, in pixels.
     pub(super) blur_px: f32,
@@ -58,16 +59,16 @@ impl LastBoard {
 /// A corner of the last board and its prediction.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ExpectedCorner {
-    /// What was measured of it.
+    /// Its last measurement.
     pub last: Node,
     /// Its predicted position.
     pub expected: Vec2,
-    /// From there to the next corner along i and along j.
+    /// The steps from there to the next corner along i and along j.
     pub steps: [Vec2; 2],
 }
 
 impl ExpectedCorner {
-    /// The corner, given its neighbors' offset `off`.
+    /// Measures the corner, given its neighbors' offset `off`.
     pub(super) fn measure(
         &self,
         probe: Probe<'_>,
@@ -93,7 +94,7 @@ impl ExpectedCorner {
         })
     }
 
-    /// The corner near `place`, off by so many steps at most and under that much blur.
+    /// Measures the corner near `place`, at most this many steps away and under this much blur.
     fn measure_near(
         &self,
         probe: Probe<'_>,
@@ -106,7 +107,7 @@ impl ExpectedCorner {
         let [u, v] = self.steps;
         let lengths = [u.norm(), v.norm()];
         let (area, spread) = ((u.x * v.y - u.y * v.x).abs(), lengths[0] * lengths[1]);
-        // A slanted window reaches farther along the other edge.
+        // On a slanted board a window extends farther along the other edge.
         let slant = spread / area.max(0.05 * spread);
         let measure = |center: Vec2, reach_px: f32| {
             let most_px = reach_px * slant;
@@ -115,7 +116,7 @@ impl ExpectedCorner {
             window.measure(probe.image).filter(|cross| cross.contrast * polarity > 0.0)
         };
         let least_contrast = thresholds.least_contrast * self.last.near_contrast.abs();
-        // A window localizes a corner the better the nearer it is to the center.
+        // The closer a window is centered on a corner, the better it localizes it.
         let settle = |mut center: Vec2, reach_px: f32, [aside, least_score]: [f32; 2]| {
             for _ in 0..thresholds.most_iterations {
                 let cross = measure(center, reach_px)?;

@@ -1,9 +1,9 @@
-//! Where a board's corners were in the last image, and how they moved since the one before.
+//! The positions of a board's corners in the last image, and their motion since the image before.
 
 use crate::detection::grid::Node;
 use crate::detection::measure::cross::Vec2;
 
-/// The corners of the last two images, in the board's order; `None` of those that were not seen.
+/// The corners of the last two images, in the board's order; `None` for those that were not seen.
 #[derive(Debug, Default)]
 pub(in crate::detection) struct LastCorners {
     nodes: Vec<Option<Node>>,
@@ -11,7 +11,7 @@ pub(in crate::detection) struct LastCorners {
 }
 
 impl LastCorners {
-    /// There was no board.
+    /// Forgets the board: the last image showed none.
     pub(in crate::detection) fn forget(&mut self) {
         self.nodes.clear();
         self.before.clear();
@@ -29,7 +29,7 @@ impl LastCorners {
         *self.nodes.get(index)?
     }
 
-    /// How far corner `index` had moved since the image before.
+    /// How far corner `index` moved between the last two images.
     pub(in crate::detection) fn motion(&self, index: usize) -> Option<Vec2> {
         Some(self.get(index)?.pixel - (*self.before.get(index)?)?.pixel)
     }

@@ -1,9 +1,10 @@
-//! Tracking for live use: the board near its last position, at a fraction of the cost of a search.
+//! Tracking for live use: finds the board near its last position, at a fraction of the cost of a
+//! search.
 //!
 //! Each corner is measured in the image itself, in a window as wide as its squares, at its last
 //! position and at the position that its motion predicts. The result must pass the tests of a
-//! search: every corner of the board, every edge, none beyond. Otherwise the whole image is
-//! searched.
+//! search: every corner of the board is there, every edge holds, and there are no corners beyond.
+//! Otherwise the whole image is searched.
 
 mod board_edges;
 mod last_board;
@@ -47,7 +48,7 @@ pub(in crate::detection) struct Tracker {
 }
 
 impl Tracker {
-    /// The next image is searched.
+    /// Forgets the board: the next image is searched.
     pub(in crate::detection) fn forget(&mut self) {
         self.last.corners.forget();
     }
@@ -63,7 +64,7 @@ impl Tracker {
         self.last.blur_px = blur_px as f32;
     }
 
-    /// The board near its last position; `None` if it must be searched for.
+    /// Tracks the board near its last position; `None` if it must be searched for.
     pub(in crate::detection) fn follow(
         &mut self,
         probe: Probe<'_>,
@@ -94,7 +95,7 @@ impl Tracker {
     }
 
     /// Starts a grid, in the board's own order, from the corners that are found at their
-    /// predictions. False if too many are not.
+    /// predictions. Returns false if too many are not.
     fn measure_at_predictions(
         &mut self,
         probe: Probe<'_>,
@@ -143,7 +144,7 @@ impl Tracker {
     }
 
     /// Whether the whole board in the grid, in the board's own order, is consistent: every corner
-    /// where its neighbors predict it, and most edges between bright and dark.
+    /// is where its neighbors predict it, and most edges hold.
     fn holds_together(&mut self, probe: Probe<'_>, board: BoardSize) -> bool {
         let Self { grid, followed, .. } = self;
         let most_off = probe.thresholds.consistency.most_off;
@@ -152,7 +153,7 @@ impl Tracker {
         grid.members.iter().all(in_place) && followed.edges_hold(probe, grid, board)
     }
 
-    /// Whether the pattern continues beyond the board: then it is another board.
+    /// Whether the pattern continues beyond the board, which is then another board.
     fn goes_on_beyond(&self, probe: Probe<'_>, board: BoardSize) -> bool {
         let (cols, rows) = (board.cols as i32, board.rows as i32);
         let beside = (0..rows).flat_map(|j| [(-1, j), (cols, j)]);
@@ -166,7 +167,7 @@ impl Tracker {
     }
 }
 
-/// Whether the four squares about `place` may be bright and dark alternately.
+/// Whether the four squares around `place` may be alternately bright and dark.
 fn may_be_corner(probe: Probe<'_>, place: &Prediction) -> bool {
     let ([u, v], thresholds) = (place.steps, &probe.thresholds.tracking);
     let (a, b) = (u * thresholds.beyond, v * thresholds.beyond);

@@ -1,8 +1,8 @@
-//! What a few refined corners say of all that were measured.
+//! Estimates the accuracy of all measured corners from the few that are refined.
 
 use crate::detection::refine::{GridCorner, RefinedCorner};
 
-/// Keeps so many of `corners`, spread over all of them.
+/// Keeps `count` of `corners`, spread evenly.
 pub(in crate::detection) fn keep_spread(corners: &mut Vec<GridCorner>, count: usize) {
     let Some(rest) = corners.len().checked_sub(count).filter(|_| count > 1) else { return };
     for nth in 0..count {
@@ -11,8 +11,9 @@ pub(in crate::detection) fn keep_spread(corners: &mut Vec<GridCorner>, count: us
     corners.truncate(count);
 }
 
-/// The standard deviation of corners as they were `measured`, per axis, in pixels, at least
-/// `least`: from those that were refined, as uncertain as they are. `None` if most could not be.
+/// The standard deviation of corners as `measured`, per axis, in pixels, at least `least`. It is
+/// estimated from those that were refined, including the refinement's own uncertainty. `None` if
+/// most could not be refined.
 pub(in crate::detection) fn measured_std_px(
     measured: &[GridCorner],
     refined: &[Option<RefinedCorner>],

@@ -1,4 +1,5 @@
-//! Verification, which can only drop: every corner's edges, and its position among its neighbors.
+//! Verification of a grid, which can only drop corners: by their edges, and by their position
+//! relative to their neighbors.
 
 use crate::detection::grid::curved_board::predict_on_curve;
 use crate::detection::grid::{Grid, in_steps};
@@ -6,7 +7,7 @@ use crate::detection::measure::Probe;
 use crate::detection::measure::edges::{EdgeCount, count_edges};
 use crate::detection::thresholds::chessboard::ConsistencyThresholds;
 
-/// Drops the corners of `grid` that do not hold in the image. False if too few hold to accept any
+/// Drops the corners of `grid` that fail in the image. Returns false if too few hold to accept any
 /// of it.
 pub(in crate::detection) fn verify(probe: Probe<'_>, grid: &mut Grid) -> bool {
     let total = drop_loose(probe, grid);
@@ -15,8 +16,8 @@ pub(in crate::detection) fn verify(probe: Probe<'_>, grid: &mut Grid) -> bool {
     believed && drop_misplaced(grid, thresholds)
 }
 
-/// Drops corners most of whose edges fail. Each drop takes an edge from others, so it iterates.
-/// Returns the last iteration's counts.
+/// Drops corners at which most edges fail. Each drop removes an edge from others, so it iterates.
+/// Returns the counts of the last iteration.
 fn drop_loose(probe: Probe<'_>, grid: &mut Grid) -> EdgeCount {
     let mut total = EdgeCount::default();
     for _ in 0..4 {
@@ -39,8 +40,8 @@ fn drop_loose(probe: Probe<'_>, grid: &mut Grid) -> EdgeCount {
     total
 }
 
-/// Drops the corner that lies farthest from its neighbors' prediction, until all lie near. False
-/// if too many must go.
+/// Drops the corner that is farthest from its neighbors' prediction, until all are close to it.
+/// Returns false if that takes too many.
 fn drop_misplaced(grid: &mut Grid, thresholds: &ConsistencyThresholds) -> bool {
     for _ in 0..thresholds.most_misplaced {
         let off = |&(i, j): &(i32, i32)| Some((outlier(grid, i, j, thresholds.most_off)?, (i, j)));

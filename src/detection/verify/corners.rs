@@ -13,25 +13,25 @@ use crate::detection::verify::placement::BoardPlacement;
 use crate::geometry::board::BoardSize;
 
 /// Bounds of the standard deviation of a corner that could not be refined, in pixels: the error of
-/// the window that found it, and the reach of that window.
+/// the window that found it, and the size of that window.
 const UNREFINED_STD_PX: [f64; 2] = [0.3, 3.0];
 
-/// What one corner is held against.
+/// What one corner is compared with.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::detection) struct CornerTest<'a> {
     /// The image.
     pub probe: Probe<'a>,
-    /// The corners as they were before refinement.
+    /// The corners before refinement.
     pub grid: &'a Grid,
-    /// How the board lies in it.
+    /// The placement of the board in the grid.
     pub placement: BoardPlacement,
     /// The board.
     pub board: BoardSize,
 }
 
 impl CornerTest<'_> {
-    /// The corner that is reported for `guess`, `refined` if that could be and it
-    /// [stays](Self::stays); `None` if it is rejected.
+    /// The corner to report for `guess`. `refined` is its refinement, if there is one that
+    /// [stays](Self::stays). `None` if the corner is rejected.
     pub(in crate::detection) fn accept(
         &self,
         guess: &GridCorner,
@@ -55,14 +55,14 @@ impl CornerTest<'_> {
         }
     }
 
-    /// Whether a refined corner is still the one that was guessed.
+    /// Whether a refined corner is still the one in `guess`.
     pub(in crate::detection) fn stays(&self, guess: &GridCorner, refined: &RefinedCorner) -> bool {
         refined.pixel.distance_px(guess.pixel)
             < self.probe.thresholds.corners.most_moved * nearest_px(guess)
     }
 
-    /// Whether a corner that could not be refined is certain all the same: visible among all its
-    /// neighbors, with all edges to them.
+    /// Whether a corner that could not be refined is certain nevertheless: all its neighbors are
+    /// seen, and all edges to them hold.
     fn stands(&self, guess: &GridCorner) -> bool {
         let thresholds = &self.probe.thresholds.corners;
         let GridIndex { col, row } = guess.index;
@@ -86,9 +86,9 @@ fn nearest_px(guess: &GridCorner) -> f64 {
     distances.fold(f64::MAX, f64::min)
 }
 
-/// Drops those of `corners` that are not where their refined neighbors predict them: an occluder
-/// may end beside a corner, and be taken for one of its edges. `median_std_px` is the median of
-/// their standard deviations; `grid` takes over the refined positions.
+/// Drops those of `corners` that are not where their refined neighbors predict them: the border of
+/// an occluder next to a corner may have been taken for one of its edges. `median_std_px` is the
+/// median of their standard deviations; `grid` takes over the refined positions.
 pub(in crate::detection) fn drop_outliers(
     probe: Probe<'_>,
     grid: &mut Grid,
@@ -118,15 +118,15 @@ pub(in crate::detection) fn drop_outliers(
             && let Some(off) =
                 of_anchored.as_ref().and_then(|board| board.off(grid, i, j, anchored))
         {
-            // A line along an occluder's edge is no reference for itself: it may follow that edge,
-            // corner by corner.
+            // A line of corners along an occluder's border is no reference for its own corners: all
+            // of them may follow that border.
             let tight = grid.get(i, j).is_some_and(|node| node.tight);
             let off_curved = off_curve(grid, i, j).filter(|_| tight).unwrap_or(off);
             let holds = off.min(off_curved) < thresholds.most_off_near_occluder;
             return if tight { holds } else { near(off) };
         }
         // At the end of a line there are few neighbors, and slant or curvature biases their
-        // prediction; the whole board predicts better.
+        // prediction; that of the whole board is better.
         let of_all = || perspective.as_ref().and_then(|board| board.off(grid, i, j, |_, _| true));
         outlier(grid, i, j, most).is_none_or(near) || of_all().is_some_and(near)
     });

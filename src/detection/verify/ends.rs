@@ -1,8 +1,8 @@
-//! Where the board itself ends: one square beyond its outermost corners the pattern stops.
+//! Where the board ends: one square beyond its outermost corners the pattern stops.
 //!
-//! That no corner was found beyond a line is no proof: a hand or the image border may hide it. The
-//! end is accepted only if the squares outside the line alternate and what lies beyond them does
-//! not.
+//! That no corner was found beyond a line is no proof of an end: a hand or the image border may
+//! hide it. An end is accepted only if the squares outside the line alternate and what is beyond
+//! them does not.
 
 use crate::detection::grid::{Bounds, Grid};
 use crate::detection::measure::Probe;
@@ -11,15 +11,15 @@ use crate::detection::measure::edges::sample;
 use crate::detection::thresholds::chessboard::EndThresholds;
 use crate::detection::verify::placement::Ends;
 
-/// What the sides of a grid show.
+/// The ends of the board that a grid shows.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::detection) struct SeenEnds {
     /// Sides that may be the board's ends.
     pub possible: Ends,
-    /// Sides that must be: an occluder along a line may pass for an end at one pair of squares,
-    /// hardly at two, and not along half of the line.
+    /// Sides that certainly are: an occluder along a line may pass for an end at one pair of
+    /// squares, hardly at two, and not along half of the line.
     pub sure: Ends,
-    /// Sides beyond which squares seem to go on alternating.
+    /// Sides beyond which squares seem to continue alternating.
     pub goes_on: Ends,
 }
 
@@ -64,8 +64,8 @@ impl Side {
     }
 }
 
-/// Evidence that the board ends beyond the line of corners `at(least..=most)`, towards `outward`
-/// along `axis`.
+/// Evidence that the board ends beyond the line of corners `at(least..=most)`, in the direction
+/// `outward` along `axis`.
 fn side(
     probe: Probe<'_>,
     grid: &Grid,
@@ -91,7 +91,7 @@ fn side(
     side
 }
 
-/// One square outside the line of corners, and what lies beyond it.
+/// One square outside the line of corners, with a sample beyond it.
 #[derive(Debug, Clone, Copy)]
 struct Outside {
     within: f32,
@@ -103,7 +103,7 @@ struct Outside {
 }
 
 impl Outside {
-    /// Samples the square outward of the corners `p` and `q`, of which at least one must be known.
+    /// Samples the square outside the corners `p` and `q`, of which at least one must be known.
     fn measure(
         probe: Probe<'_>,
         grid: &Grid,

@@ -1,4 +1,4 @@
-//! Verification: what was found is held against the image and against the rest of the board. The
+//! Verification compares what was found with the image and with the rest of the board. It is the
 //! only place that rejects, and it can only reject: "may miss, never mislabels".
 //!
 //! | what | file | rejects |

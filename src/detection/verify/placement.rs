@@ -1,9 +1,8 @@
-//! Where in the board a grid lies, and which way round: the canonical order of corners.
+//! The placement of the board in a grid, with its orientation: the canonical order of corners.
 //!
 //! Columns and rows of the board run from +x to +y like the grid's i and j, because a camera sees
-//! the board's front; so the grid lies in the board by one of four quarter turns and an offset. The
-//! polarity of squares, the visible ends and the number of corners leave one of these, or show that
-//! it is not determined.
+//! the board's front; so the placement is one of four quarter turns and an offset. The polarity of
+//! squares, the visible ends and the number of corners determine it, or show that it is ambiguous.
 
 use crate::detection::grid::{Bounds, Grid};
 use crate::detection::measure::cross::Vec2;
@@ -81,8 +80,8 @@ pub(in crate::detection) fn place(
     Some(BoardPlacement { first, quarter_turns, known: frames == 1 })
 }
 
-/// Range of starts of a board of `length` corners that covers `least` to `most` and ends where it
-/// visibly ends.
+/// The starts, along one axis, of a board of `length` corners that covers `least` to `most` and
+/// ends at the visible ends.
 fn starts(
     (least, most): (i32, i32),
     length: i32,
@@ -93,8 +92,8 @@ fn starts(
     lowest.max(most - length + 1)..=highest.min(least)
 }
 
-/// The first corner and the direction of columns: the outer diagonal square is dark, where that
-/// decides; else the corner nearest the image's top left.
+/// The first corner and the direction of columns: the one whose outer diagonal square is dark, if
+/// that is unique; else the corner nearest the image's top left.
 fn first_corner(grid: &Grid, frame: Rectangle, board: BoardSize) -> Option<((i32, i32), u8)> {
     let Rectangle { i, j, width, height } = frame;
     let corners =
@@ -105,7 +104,7 @@ fn first_corner(grid: &Grid, frame: Rectangle, board: BoardSize) -> Option<((i32
         (i + width - 1, j + height - 1),
         (i - 1, j + height - 1),
     ];
-    // At corner 0 columns run along +i without a rotation, at corner 1 with one quarter turn, and
+    // At corner 0 columns run along +i, without a rotation, at corner 1 with one quarter turn, and
     // so on.
     let upright = (board.cols as i32, board.rows as i32) == (width, height);
     let fits = |quarter_turns: usize| {
