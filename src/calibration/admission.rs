@@ -19,10 +19,10 @@ pub enum Rejection {
     /// The image could not be decoded.
     #[error("the image cannot be read: {detail}")]
     Unreadable {
-        /// What the decoder said.
+        /// The decoder's message.
         detail: String,
     },
-    /// The frame set has no image: the color image is missing beside depth.
+    /// The frame set has no image: depth came without the color image.
     #[error("frame set {name}: {missing}")]
     NoImage {
         /// The frame set's name, or its sequence number.
@@ -41,7 +41,7 @@ pub enum Rejection {
         /// How many the board has.
         expected: usize,
     },
-    /// The board's edges are too soft for exact corners.
+    /// The board's edges are too blurred for accurate corners.
     #[error(
         "blurred: edges are {} px wide, at most {} px can be used",
         in_differing_digits([*blur_px, *limit_px], 1)[0],
@@ -50,15 +50,15 @@ pub enum Rejection {
     Blurred {
         /// Width of the board's edges, as a Gaussian's standard deviation in pixels.
         blur_px: f64,
-        /// The most that is kept.
+        /// The most that is accepted.
         limit_px: f64,
     },
     /// The board moves between frames: its corners are smeared, and a rolling shutter distorts it.
     #[error("moving at {speed_px_per_s:.0} px/s, at most {limit_px_per_s:.0} px/s can be used")]
     Moving {
-        /// Speed of the fastest corner since the frame before, in pixels a second.
+        /// Speed of the fastest corner since the previous frame, in pixels a second.
         speed_px_per_s: f64,
-        /// The most that is kept.
+        /// The most that is accepted.
         limit_px_per_s: f64,
     },
     /// Too much like a view that is kept already.
@@ -67,24 +67,24 @@ pub enum Rejection {
         /// The kept view that it resembles most.
         view: u32,
     },
-    /// A camera before a scene moved too little since a kept view.
+    /// A camera in front of a scene moved too little since a kept view.
     #[error("a small step from view {view}: {:.0} % of what it takes to be kept", 100.0 * part)]
     SmallStep {
         /// The kept view that it resembles most.
         view: u32,
-        /// What is new, as a part of what it takes, 0 to 1.
+        /// The step, as a fraction of what it takes to be kept, 0 to 1.
         part: f64,
     },
-    /// It would teach too little beside the session's views.
+    /// It would add too little information to that of the session's views.
     #[error(
         "nothing new: projections would be {} % surer, a view is kept for {} %; hold the board as asked for",
         in_differing_digits([100.0 * gain, 100.0 * needed], 1)[0],
         in_differing_digits([100.0 * gain, 100.0 * needed], 1)[1]
     )]
     TeachesLittle {
-        /// How much surer projections would be with it, 0 to 1.
+        /// The relative drop of the projections' uncertainty with it, 0 to 1.
         gain: f64,
-        /// What it takes to be kept.
+        /// The drop that a view must bring to be kept.
         needed: f64,
     },
     /// The image's size is not that of the session's first one.
@@ -92,7 +92,7 @@ pub enum Rejection {
     OtherImageSize {
         /// This image's size.
         got: ImageSize,
-        /// The session's size.
+        /// A scene that shares nothing with any kept view.
         expected: ImageSize,
     },
     /// Too few features to recognize a scene by.
@@ -108,10 +108,10 @@ pub enum Rejection {
         "it shows nothing of what the kept views show ({matches} matches agree with the frame before): go back, and take smaller steps"
     )]
     UnknownScene {
-        /// How many matches with the frame before agree.
+        /// The number of inlier matches with the previous frame.
         matches: usize,
     },
-    /// The session holds as many views as it may.
+    /// The session has as many views as it may keep.
     #[error("the session holds its {limit} views already; stop it to solve")]
     Full {
         /// The most views a session keeps.
@@ -120,8 +120,8 @@ pub enum Rejection {
 }
 
 impl Rejection {
-    /// The stable names, as counted in [`Rejections`], in the order of documents: those of
-    /// [`NoBoard::KINDS`] among them.
+    /// The stable names, as counted in [`Rejections`], in the order of documents; those of
+    /// [`NoBoard::KINDS`] are among them.
     pub const KINDS: [&'static str; 22] = [
         "no_corners",
         "no_grid",
@@ -147,7 +147,7 @@ impl Rejection {
         "full",
     ];
 
-    /// Whether the board is well seen, only not new.
+    /// Whether the board was seen well, but the view is not new.
     pub fn is_known_already(&self) -> bool {
         matches!(
             self,
@@ -193,7 +193,8 @@ impl Rejections {
         *self.counts.entry(rejection.kind()).or_default() += 1;
     }
 
-    /// Takes back one of `rejection`: the frame was kept for what another camera sees beside it.
+    /// Takes back one of `rejection`: the frame was kept after all, since another camera saw the
+    /// board in the same frame set.
     pub(super) fn take_back(&mut self, rejection: &Rejection) {
         if let Some(count) = self.counts.get_mut(rejection.kind()) {
             *count = count.saturating_sub(1);
@@ -216,7 +217,7 @@ impl Rejections {
         most.filter(|(_, count)| *count > 0).map(|(kind, _)| kind)
     }
 
-    /// Becomes the sum of others.
+    /// Replaces the counts by the sum of others.
     pub fn set_sum<'a>(&mut self, others: impl IntoIterator<Item = &'a Self>) {
         *self = Self::default();
         for (kind, count) in others.into_iter().flat_map(Self::iter) {
@@ -229,7 +230,7 @@ impl Rejections {
         self.counts.values().sum()
     }
 
-    /// From stored counts; a kind that is not known any more is left out.
+    /// From stored counts; kinds that no longer exist are left out.
     pub fn from_counts<'a>(counts: impl IntoIterator<Item = (&'a str, u64)>) -> Self {
         let mut rejections = Self::default();
         for (kind, count) in counts {
@@ -241,20 +242,20 @@ impl Rejections {
     }
 }
 
-/// What a detection must be to become a view.
+/// The limits that a detection must meet to become a view.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AdmissionOptions {
-    /// The widest blur of the board's edges, as a part of the image's diagonal, but never less than
-    /// 2 px. Default: 0.0025 (2 px at 640×480, 5.5 px at 1920×1080).
+    /// The widest blur of the board's edges, as a fraction of the image's diagonal, but never less
+    /// than 2 px. Default: 0.0025 (2 px at 640×480, 5.5 px at 1920×1080).
     pub blur_limit: f64,
     /// The fastest corner, in image diagonals a second. Default: 0.4 (320 px/s at 640×480).
     pub speed_limit: f64,
-    /// How many steps ([`Placement::steps_to`]) away from every kept view: nearer ones are the same
-    /// image again, whose errors are the same too. Default: 0.3 (4 % of the image's width, or 3°).
+    /// The least distance from every kept view, in steps ([`Placement::steps_to`]): closer ones
+    /// repeat an image, with the same errors. Default: 0.3 (4 % of the image's width, or 3°).
     pub novelty_steps: f64,
-    /// What a view must teach, as a part of what the kept ones taught on average. Of N views that
-    /// teach the same each makes projections surer by 1/(2N). Default: 0.3, so that images of a
-    /// pile in which none teaches much are kept.
+    /// The information that a view must add, as a fraction of what the kept ones added on average.
+    /// If N views add the same, each lowers the uncertainty of projections by 1/(2N). Default: 0.3,
+    /// so that images of a set in which none adds much are kept.
     pub worth: f64,
     /// The most views of a session. Default: 150.
     pub view_limit: u32,
@@ -273,25 +274,25 @@ impl Default for AdmissionOptions {
 }
 
 const LEAST_BLUR_LIMIT_PX: f64 = 2.0;
-/// Two boards further from each other than this part of the diagonal are not one motion: the
-/// recording has a cut, or is a pile of photographs.
+/// If the board jumps by more than this fraction of the diagonal, the two frames are not one
+/// motion: the recording has a cut, or is a set of photographs.
 const CUT: f64 = 0.25;
-/// Frames after a longer time, in seconds, are not one movement: nothing is said of its speed.
+/// If more time than this lies between two frames, in seconds, no speed is estimated.
 pub(crate) const ONE_MOVEMENT_S: f64 = 0.5;
 
-/// The frame before, with what was seen in it.
+/// The previous frame with a board.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SeenBefore {
     /// Its time, in nanoseconds.
     pub time_ns: i64,
-    /// Where the board was.
+    /// The detected board.
     pub detection: Detection,
 }
 
-/// Decides whether a detection is sharp, still, whole and another image than those that are kept:
-/// its placement if so. What it would teach is another question
-/// ([`crate::calibration::information::teaching`]). It depends on the frames alone, not on what was
-/// estimated meanwhile: a replay keeps the same views.
+/// Decides whether a detection is sharp, still, whole and different from the kept views; returns
+/// its placement if so. How much information it would add is decided elsewhere
+/// ([`crate::calibration::information::teaching`]). It depends on the frames only, not on estimates
+/// made meanwhile: a replay keeps the same views.
 ///
 /// # Errors
 /// The first reason against it, the most useful to the operator first.
@@ -329,11 +330,10 @@ pub fn admit(
     }
 }
 
-/// Speed of the fastest corner since the frame before; `None` where frames are too
-/// long after each other.
+/// Speed of the fastest corner since the previous frame; `None` if too much time passed.
 fn speed_px_per_s(detection: &Detection, seen: &FrameFacts, before: &SeenBefore) -> Option<f64> {
     let elapsed_s = (seen.time_ns() - before.time_ns) as f64 * 1e-9;
-    // A named frame is an image of its own; the times of a folder of them mean nothing.
+    // A named frame is an image file; the times of files in a folder are not those of a motion.
     if seen.name.is_some() || !(elapsed_s > 0.0 && elapsed_s < ONE_MOVEMENT_S) {
         return None;
     }

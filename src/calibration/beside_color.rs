@@ -1,6 +1,6 @@
-//! An image sensor beside color (the right infrared one of a stereo depth camera): its lens, and
-//! where it is. It is solved with color alone, as a rig of two cameras: depth is measured in the
-//! left one's view, so that it adds nothing to depth.
+//! An image sensor besides color (the right infrared one of a stereo depth camera): its lens and
+//! pose. It is solved with color only, as a rig of two cameras. Depth is measured in the view of
+//! the left one, so this sensor adds nothing to depth.
 
 use crate::calibration::observations::CameraFrameSets;
 use crate::calibration::result::{CalibratedSensor, Calibration, Grade};
@@ -28,8 +28,8 @@ fn solve_beside_color(
     solve_rig(&RigInput { board, sensors }, options)
 }
 
-/// `calibration`, which has color, with the sensor `kind` and where that is; where it cannot be
-/// had, color stays as it is and the verdict says why.
+/// `calibration`, which has color, extended by the sensor `kind` and its pose. If that cannot be
+/// calibrated, color stays as it is and the verdict says why.
 pub(super) fn with_image_sensor(
     mut calibration: Calibration,
     observed: (Target, &CameraFrameSets, SensorKind),

@@ -1,5 +1,5 @@
-//! Several cameras: all of their image sensors in one joint solve; depth, which shares infrared's
-//! lens and place, is then fitted to the boards as they all saw them.
+//! Several cameras: all of their image sensors in one joint solve. Depth, which shares infrared's
+//! lens and pose, is then fitted to the boards' poses from that solve.
 
 use nalgebra::DMatrix;
 
@@ -25,11 +25,11 @@ use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
 use crate::imaging::frame::SensorKind;
 
-/// A camera of several, with what its own sensors say of depth.
+/// One camera of several, with its own solve of depth.
 struct Member<'a> {
     camera: &'a CameraFrameSets,
     name: &'a str,
-    /// Its depth, as it is by itself; `None` without depth.
+    /// Its depth, solved with its own sensors only; `None` without depth.
     device: Option<(RgbdInput, SolvedRgbd)>,
     /// Why its depth is left out.
     left_out: Option<String>,
@@ -93,8 +93,9 @@ impl<'a> Member<'a> {
         own.count() == 1 && self.device.is_none()
     }
 
-    /// Each of its image sensors with what that saw. Infrared is as its device has it: views that
-    /// were taken together with color, the board where it was when color was.
+    /// Each of its image sensors with its observations. Infrared is as in the device's own solve:
+    /// the views that were taken together with color, with the board where it was when color was
+    /// taken.
     fn image_sensors(&self) -> Vec<RigSensorInput> {
         let kinds = self.camera.image_sensors.iter().map(|(kind, _)| *kind);
         let sensor = |kind: SensorKind| {
@@ -116,7 +117,7 @@ impl<'a> Member<'a> {
         kinds.map(sensor).filter(seen).collect()
     }
 
-    /// Adds depth, where it is, and what is to be said of it.
+    /// Adds depth, its pose, and the findings about it.
     fn add_depth(&self, whole: &mut Calibration, input: &RigInput) {
         if let Some(reason) = &self.left_out {
             whole.verdict.lower(Grade::Usable, format!("{}: {reason}", self.name));
@@ -156,8 +157,8 @@ impl<'a> Member<'a> {
         whole.verdict.reasons.extend(reasons);
     }
 
-    /// What depth is fitted to anew, and where infrared is; `None` where infrared is not placed
-    /// beside color.
+    /// The input for fitting depth again, and the pose of infrared; `None` if infrared has no pose
+    /// relative to color.
     fn placed(
         &self,
         color: &ImageCalibration,
@@ -193,7 +194,7 @@ impl<'a> Member<'a> {
         Some((placed, known.clone()))
     }
 
-    /// Where depth is by its own camera's color, for a depth camera without infrared.
+    /// The pose of depth by way of its own camera's color, for a depth camera without infrared.
     fn by_way_of_color(&self, whole: &Calibration, estimate: &RgbdEstimate) -> Extrinsics {
         let color = self.id(SensorKind::Color);
         let own = color_from_depth(self.id(SensorKind::Depth), color.clone(), estimate);
@@ -204,7 +205,7 @@ impl<'a> Member<'a> {
     }
 }
 
-/// Where a sensor of the rig saw each board.
+/// The boards' poses in a sensor of the rig.
 fn boards(input: &RigInput, id: &SensorId, sensor: &ImageCalibration) -> Vec<FrameSetPose> {
     let Some(own) = input.sensors.iter().find(|own| own.id == *id) else { return Vec::new() };
     let pose = |(seen, view): (&FrameSetView, &CalibratedView)| {

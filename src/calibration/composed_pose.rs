@@ -4,8 +4,9 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::calibration::result::Extrinsics;
 
-/// `a_from_c` of `a_from_b` and `b_from_c`, whose errors are taken to be independent: a rotation of
-/// c about b's axes is one about a's, and one of b about a's moves c by the lever between them.
+/// `a_from_c` from `a_from_b` and `b_from_c`, whose errors are taken as independent: a rotation of
+/// c about b's axes is rotated into a, and a rotation of b about a's axes moves c by the lever
+/// between them.
 pub(super) fn through(a_from_b: &Extrinsics, b_from_c: &Extrinsics) -> Extrinsics {
     let a_from_b_rotation = a_from_b.target_from_source.rotation_matrix();
     let lever = a_from_b_rotation * b_from_c.target_from_source.translation();

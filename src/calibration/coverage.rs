@@ -1,4 +1,4 @@
-//! Where in the image corners were seen: a grid of cells, each with its count.
+//! Image coverage: a grid of cells, each with the number of corners seen in it.
 
 use crate::detection::board_detection::Detection;
 use crate::geometry::pixel::{ImageSize, Pixel};
@@ -14,14 +14,14 @@ pub struct Coverage {
 }
 
 impl Default for Coverage {
-    /// Nothing seen, in an image wider than high.
+    /// Empty, for images in landscape format.
     fn default() -> Self {
         Self { cells: vec![vec![0; LONG_CELLS]; SHORT_CELLS] }
     }
 }
 
 impl Coverage {
-    /// Nothing seen yet, in images of `size`.
+    /// Empty, for images of `size`.
     pub fn empty(size: ImageSize) -> Self {
         let (cols, rows) = if size.width >= size.height {
             (LONG_CELLS, SHORT_CELLS)
@@ -57,7 +57,7 @@ impl Coverage {
         &self.cells
     }
 
-    /// Part of the cells in which a corner was seen, 0 to 1.
+    /// The fraction of cells in which a corner was seen, 0 to 1.
     pub fn fraction(&self) -> f64 {
         let cells = self.cells.iter().flatten();
         let seen = cells.clone().filter(|count| **count > 0).count();

@@ -1,5 +1,5 @@
-//! The depth sensor's part of a calibration: lens, correction, and how much is left of error and
-//! noise, by distance.
+//! The depth sensor's part of a calibration: lens, correction, and the remaining error and noise,
+//! by distance.
 
 use crate::calibration::result::verdict::{Grade, Verdict};
 use crate::estimation::depth_error::{JudgedTile, held_out_residuals};
@@ -9,21 +9,21 @@ use crate::geometry::depth_camera::DepthCamera;
 /// A calibrated depth sensor.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DepthCalibration {
-    /// Lens, meaning of its readings, correction.
+    /// Lens, meaning of its readings, and correction.
     pub camera: DepthCamera,
-    /// The reading that means none, besides 0 for metric depth.
+    /// The value that means no reading, besides 0 for metric depth.
     pub invalid: Option<u16>,
-    /// Standard deviation of each lens parameter; 0 for a known one.
+    /// Standard deviation of each lens parameter; 0 for a given one.
     pub lens_std: Vec<f64>,
-    /// The mean error of flat surfaces, by distance, nearest first.
+    /// The mean error on flat surfaces, by distance, nearest first.
     pub bias: Vec<DepthBias>,
     /// The noise of single readings.
     pub noise: DepthNoise,
-    /// How much later its images are taken than color's, where the board's motion determines it.
+    /// How much later its images are taken than color's, if the board's motion determines it.
     pub time_offset: Option<ExposureDelay>,
 }
 
-/// How much later a sensor's images are taken than the ones they are grouped with.
+/// How much later a sensor's images are taken than those in the same frame set.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExposureDelay {
     /// In seconds.
@@ -39,11 +39,11 @@ pub struct DepthBias {
     pub from_m: f64,
     /// To this one.
     pub to_m: f64,
-    /// As the device gives it: measured − true, in meters.
+    /// As the device reports depth: measured − true, in meters.
     pub before_m: f64,
-    /// Corrected by what was fitted to other views, in meters.
+    /// After a correction that was fitted to other views, in meters.
     pub after_m: f64,
-    /// Root mean square over the patches of the residuals, in meters.
+    /// Root mean square of the residuals over the patches, in meters.
     pub rms_after_m: f64,
     /// Patches of the board with a residual.
     pub patches: u32,
@@ -64,7 +64,7 @@ impl DepthNoise {
         self.constant_m + self.quadratic_per_m * z_m * z_m
     }
 
-    /// Least squares with neither part negative.
+    /// Least squares with both coefficients nonnegative.
     fn of(views: &[Vec<JudgedTile>]) -> Self {
         let pairs = || {
             views.iter().flatten().map(|judged| {
@@ -139,10 +139,11 @@ fn bias(estimate: &RgbdEstimate) -> Vec<DepthBias> {
         .collect()
 }
 
-/// Residuals of a range of distances above this part of a reading's noise are reported.
+/// A mean error in a range of distances is reported if it exceeds this fraction of a reading's
+/// noise.
 const LEFT: f64 = 0.3;
 
-/// The verdict with what depth adds to it.
+/// The verdict with the findings about depth.
 pub fn judge_depth(
     verdict: Verdict,
     depth: &DepthCalibration,

@@ -1,6 +1,6 @@
-//! Does a depth calibration still hold for what the camera sees now? Depth is compared with the
-//! planes of boards that color sees, patch by patch, by the error that patches of held-out views
-//! had when the camera was calibrated.
+//! Checks whether a depth calibration still holds. Depth is compared with the planes of boards that
+//! color sees, patch by patch. The limit is the error of patches in views that were held out when
+//! the camera was calibrated.
 
 use nalgebra::{Matrix6, Vector3, Vector6};
 
@@ -13,72 +13,72 @@ use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
 use crate::imaging::depth_image::DepthImage;
 
-/// An error of this many standard deviations is a change.
+/// An error of this many standard deviations counts as a change.
 const LIMIT_SIGMAS: f64 = 3.0;
 /// The standard error of a median over that of a mean.
 const MEDIAN_OVER_MEAN: f64 = 1.2533;
-/// Of so many views the worst is left out.
+/// With this many views or more, the worst one is left out.
 const LEAST_TO_LEAVE_ONE_OUT: usize = 4;
-/// How much faster than in the mean between two frames a board may be: twice, if it starts and
-/// stops there with constant acceleration.
+/// The peak speed of a board between two frames over its mean: twice, if it starts and stops there
+/// with constant acceleration.
 const PEAK_OVER_MEAN: f64 = 2.0;
-/// A change along a direction that the views show this much less than along others is not shown.
+/// A direction with less than this fraction of the information of the best one is not determined.
 const NOT_SHOWN: f64 = 1e-9;
 
-/// The depth image of a view, and where the board was by color.
+/// A view's depth image, with the board's pose by color.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DepthView {
-    /// The board in color's frame, and where it may have moved to when depth was taken.
+    /// The board in color's frame, and where it may have moved by the time depth was taken.
     pub board: MovingBoard,
     /// The depth image.
     pub image: DepthImage,
 }
 
-/// What views say of a depth calibration.
+/// The comparison of views with a depth calibration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DepthCheck {
-    /// By distance, nearest first; those of the calibration, as far as they were seen.
+    /// By distance, nearest first: the calibration's ranges in which a board was seen.
     pub ranges: Vec<CheckedRange>,
-    /// Views with readings on the board, without those of `moving`.
+    /// Views with readings on the board, without the `moving` ones.
     pub views: usize,
-    /// Views in which depth is off the board as far as the board's motion may have carried it: they
-    /// say nothing of depth.
+    /// Views in which the board's motion may explain that depth is off the board: they show nothing
+    /// about depth.
     pub moving: usize,
-    /// How far patches are off: the robust figure of each view, squared, in the mean over views.
-    /// Its unit is the standard deviation of held-out views' patches, with what the sensors'
-    /// calibrated pose leaves open. A view whose board moved between the images is no change: of
-    /// four and more the worst is left out.
+    /// The deviation of patches: the root of the mean over views of each view's robust figure
+    /// squared, in standard deviations of held-out views' patches, including the uncertainty of the
+    /// sensors' calibrated pose. A view whose board moved between the images is no change: of four
+    /// or more views the worst one is left out.
     pub off_sigmas: f64,
-    /// By what part depth is too long, in the median over views.
+    /// The relative error of depth: the median over views, positive if depth is too long.
     pub relative_bias: f64,
-    /// Its standard deviation by how views differ; infinite for a single one.
+    /// Its standard deviation from the scatter of views; infinite for a single one.
     pub relative_bias_std: f64,
-    /// From how far on these views show that the depth camera moved, whichever way, in meters;
-    /// `None` where there is a way of moving that they do not show.
+    /// The least movement of the depth camera that these views would show, in the worst direction,
+    /// in meters; `None` if there is a movement that they do not show.
     pub visible_m: Option<f64>,
 }
 
-/// Depth against the board's planes in one range of distances.
+/// Depth compared with the board's planes in one range of distances.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CheckedRange {
     /// The nearest and the farthest patch, in meters.
     pub seen_m: [f64; 2],
-    /// The median error of patches, measured less true, in meters.
+    /// The median error of patches, measured − true, in meters.
     pub bias_m: f64,
-    /// Its standard deviation by how views differ, in meters; infinite for a single one.
+    /// Its standard deviation from the scatter of views, in meters; infinite for a single one.
     pub bias_std_m: f64,
-    /// The robust standard deviation of patches about the bias, in meters.
+    /// The robust standard deviation of patches around the bias, in meters.
     pub robust_std_m: f64,
-    /// What the calibration predicts for it, in meters.
+    /// The standard deviation that the calibration predicts, in meters.
     pub calibrated_m: f64,
-    /// Views with patches here.
+    /// Views with patches in this range.
     pub views: usize,
     /// Their patches.
     pub patches: usize,
 }
 
 impl CheckedRange {
-    /// How far depth may be off without a change, in meters.
+    /// How far depth may be off without counting as a change, in meters.
     pub fn allowed_m(&self) -> f64 {
         LIMIT_SIGMAS * self.calibrated_m
     }
@@ -112,29 +112,29 @@ impl DepthCheck {
         }
     }
 
-    /// Whether depth is as it was calibrated wherever it was seen.
+    /// Whether depth is as it was calibrated, wherever it was seen.
     pub fn holds(&self) -> bool {
         self.off_sigmas <= LIMIT_SIGMAS
     }
 
-    /// Whether depth is too long or too short in all views alike.
+    /// Whether depth is consistently too long or too short in all views.
     pub fn is_scaled(&self) -> bool {
         self.relative_bias.abs() > LIMIT_SIGMAS * self.relative_bias_std
     }
 }
 
-/// What the calibration knows of its errors.
+/// The errors that the calibration predicts.
 struct CalibratedErrors<'a> {
     depth: &'a DepthCalibration,
     color_from_depth: &'a Extrinsics,
 }
 
-/// A patch of a view's board, and how far off it may be without a change.
+/// A patch of a view's board, with its expected error.
 #[derive(Clone, Copy)]
 struct SeenPatch {
     patch: PatchError,
-    /// The standard deviation of its error, in meters: that of held-out views, with what the
-    /// sensors' calibrated pose leaves open.
+    /// The standard deviation of its error, in meters: that of held-out views, including the
+    /// uncertainty of the sensors' calibrated pose.
     std_m: f64,
 }
 
@@ -145,9 +145,9 @@ impl SeenPatch {
 }
 
 impl CalibratedErrors<'_> {
-    /// The patches of a view's board, where it was in color or where it had moved to since, as they
-    /// fit better, and whether they are off no farther than its motion can explain; `None` without
-    /// readings on the board.
+    /// The patches of a view's board, at its pose in color or where it had moved since, whichever
+    /// fits better; and whether its motion explains that they are off. `None` without readings on
+    /// the board.
     fn view(&self, board: &Target, view: &DepthView) -> Option<(Vec<SeenPatch>, bool)> {
         let MovingBoard { camera_from_board, camera_from_later, steps } = view.board;
         let patches = |color_from_board: &Pose| {
@@ -175,8 +175,8 @@ impl CalibratedErrors<'_> {
     }
 
     /// The motion of the depth camera, (t, w) as for [`moved`], that changes depth as much as a
-    /// `step` of the board from `color_from_board` on: a point x of it moves by ω × (x - p) + τ,
-    /// with p the board's origin.
+    /// `step` of the board from `color_from_board`: a point x of the board moves by ω × (x - p) +
+    /// τ, with p the board's origin.
     fn as_camera_motion(&self, step: &Vector6<f64>, color_from_board: &Pose) -> Vector6<f64> {
         let [rotation, translation] = [0, 3].map(|at| step.fixed_rows::<3>(at).into_owned());
         let of_color = translation + color_from_board.translation().cross(&rotation);
@@ -187,15 +187,15 @@ impl CalibratedErrors<'_> {
         Vector6::from_iterator(of_depth.iter().chain(rotation.iter()).copied())
     }
 
-    /// Which of the calibration's ranges a distance is in, or is nearest to.
+    /// The calibration's range that contains a distance, or is nearest to it.
     fn range_index(&self, z_m: f64) -> usize {
         let beside = |range: &DepthBias| (range.from_m - z_m).max(z_m - range.to_m).max(0.0);
         let ranges = self.depth.bias.iter().map(beside).enumerate();
         ranges.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(index, _)| index)
     }
 
-    /// The standard deviation of a patch at `z_m`: that of held-out views, which grows with the
-    /// square of distance beyond them; without any, that of single readings.
+    /// The standard deviation of a patch at `z_m`: that of held-out views, which grows beyond them
+    /// with the square of the distance; if there are none, that of single readings.
     fn held_out_std_m(&self, z_m: f64) -> f64 {
         match self.depth.bias.get(self.range_index(z_m)) {
             Some(range) => range.rms_after_m * (z_m / range.to_m).powi(2).max(1.0),
@@ -203,8 +203,8 @@ impl CalibratedErrors<'_> {
         }
     }
 
-    /// The same with what the sensors' calibrated pose leaves open, as if each of its six numbers
-    /// erred by itself: it is large where the calibration was weak.
+    /// The same including the uncertainty of the sensors' calibrated pose, with its six parameters
+    /// taken as independent: it is large if the calibration was weak.
     fn patch_std_m(&self, patch: &PatchError) -> f64 {
         let Extrinsics { translation_std_m, rotation_std, .. } = self.color_from_depth;
         let std = Vector6::from_iterator(translation_std_m.iter().chain(rotation_std).copied());
@@ -241,8 +241,8 @@ fn range(
     })
 }
 
-/// How far the patches of a view are off beyond what one of `motions` can explain, in the standard
-/// deviations that the calibration predicts.
+/// How far the patches of a view are off beyond what any of `motions` explains, in standard
+/// deviations predicted by the calibration.
 fn view_sigmas(patches: &[SeenPatch], motions: &[Vector6<f64>]) -> Option<f64> {
     let sigmas = |one: &SeenPatch| {
         let row = moved(&one.patch);
@@ -263,7 +263,7 @@ fn off_sigmas(seen: &[Vec<SeenPatch>]) -> f64 {
     (square / views.len().max(1) as f64).sqrt()
 }
 
-/// The standard deviation of the median of `values`, by their scatter.
+/// The standard deviation of the median of `values`, from their scatter.
 fn median_std(values: &[f64]) -> f64 {
     let count = values.len() as f64;
     let mean = values.iter().sum::<f64>() / count;
@@ -271,8 +271,8 @@ fn median_std(values: &[f64]) -> f64 {
     if values.len() < 2 { f64::INFINITY } else { MEDIAN_OVER_MEAN * (square / count).sqrt() }
 }
 
-/// How the depth of a patch changes with a move of the depth camera by t and a rotation w: that of
-/// a plane with normal n at the point p by n · (t + w × p) / (n · p / p_z).
+/// The derivative of a patch's depth by a movement of the depth camera by t and a rotation w: for a
+/// plane with normal n at the point p it is n · (t + w × p) / (n · p / p_z).
 fn moved(patch: &PatchError) -> Vector6<f64> {
     let (point, normal) = (patch.point_in_depth.coords, patch.normal_in_depth);
     let rotated = point.cross(&normal);
@@ -280,8 +280,8 @@ fn moved(patch: &PatchError) -> Vector6<f64> {
     row / normal.dot(&(point / point.z))
 }
 
-/// From how far on a move of the depth camera shows; patches of one view err together, so that each
-/// view counts as the three numbers of its plane.
+/// The least movement of the depth camera that shows. Patches of one view have correlated errors,
+/// so each view counts as the three parameters of its plane.
 fn visible_m(known: &CalibratedErrors<'_>, seen: &[Vec<SeenPatch>]) -> Option<f64> {
     let mut information = Matrix6::zeros();
     for patches in seen {

@@ -1,10 +1,9 @@
-//! Whether a calibration still explains the boards that are seen now.
+//! Checks whether a calibration still explains the boards seen now.
 //!
-//! Each board's pose is fitted under the calibrated lens, with the board's shape as it was measured
-//! with that lens. The residuals of several views, beyond those of the calibration's own views and
-//! beyond the motion of the board while rows are read, measure how far the lens has moved; the
-//! limit is the calibration's own uncertainty. It costs one pose fit for each accepted view of a
-//! session.
+//! Each board's pose is fitted with the calibrated lens and the board shape that was measured with
+//! it. The residuals of several views, beyond those of the calibration's own views and beyond the
+//! board's motion while rows are read, measure how far the lens has changed; the limit is the
+//! calibration's own uncertainty. It costs one pose fit for each accepted view of a session.
 
 use nalgebra::{Point3, Vector3};
 
@@ -17,9 +16,10 @@ use crate::geometry::pixel::ImageSize;
 
 /// Limit of the misfit, in standard deviations of the calibration's own projections.
 const LIMIT_SIGMAS: f64 = 3.0;
-/// Smallest limit, in pixels: less is not distinguishable from the images' own errors.
+/// The least limit, in pixels: less cannot be distinguished from the images' own errors.
 const LEAST_LIMIT_PX: f64 = 0.1;
-/// Views whose median misfit decides: one alone may be blurred, or its board bent by a hand.
+/// The number of views whose median misfit decides: a single one may be blurred, or a hand may have
+/// bent its board.
 const VIEWS: usize = 5;
 
 /// Compares a calibration with the boards seen since.
@@ -37,7 +37,7 @@ pub struct DriftWatch {
     reported: bool,
 }
 
-/// A calibration that does not hold any more.
+/// A calibration that no longer holds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Drift {
     /// The calibration's id.
@@ -45,10 +45,10 @@ pub struct Drift {
     /// What has changed and what to do, in words.
     pub reason: String,
     /// The reprojection error of the boards seen, with only their poses fitted and without the
-    /// motion that the calibration's own views showed while rows were read, in pixels; `None` where
-    /// no boards were compared.
+    /// motion that the calibration's own views showed while rows were read, in pixels; `None` if no
+    /// boards were compared.
     pub rms_px: Option<f64>,
-    /// What the calibration had when it was made, in pixels.
+    /// The calibration's own reprojection error, in pixels.
     pub expected_px: f64,
 }
 
@@ -69,7 +69,7 @@ impl DriftWatch {
         }
     }
 
-    /// Adds a board seen in an image of `size`; the drift, once, when it exceeds the limit.
+    /// Adds a board seen in an image of `size`. Returns the drift once, when it exceeds the limit.
     pub fn see(&mut self, view: &BoardView, size: ImageSize) -> Option<Drift> {
         if self.reported {
             return None;
@@ -81,7 +81,7 @@ impl DriftWatch {
             );
             return Some(self.report(reason, None));
         }
-        // A view that determines no pose says nothing about the lens.
+        // A view that determines no pose shows nothing about the lens.
         self.misfits_px.push(self.misfit_px(view)?);
         if self.misfits_px.len() < VIEWS {
             return None;

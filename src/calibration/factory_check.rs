@@ -1,12 +1,12 @@
-//! The factory's calibration of a depth camera beside the estimate: which of the two measures the
-//! board better on views that the estimate was not fitted to.
+//! Compares the factory's calibration of a depth camera with the estimate: which of the two
+//! measures the board better in views that the estimate was not fitted to.
 //!
-//! The views are dealt into two halves. Each half is measured with the estimate of the other half,
-//! and with the factory's calibration, which was fitted to neither. The factory's depth is compared
-//! with where the joint solve of all views has the board, which favors the factory if anything;
-//! what a half found with where its own color lens has the board. An error of the color lens scales
-//! all planes alike, and the estimate with them; so the estimate must be better by more than the
-//! color lens is uncertain.
+//! The views are split into two halves. Each half is measured with the estimate from the other
+//! half, and with the factory's calibration, which was fitted to neither. The factory's depth is
+//! compared with the board's poses from the joint solve of all views, which if anything favors the
+//! factory; the estimate of a half is compared with the poses by its own color lens. An error of
+//! the color lens scales all planes alike, and the estimate with them; so the estimate must be
+//! better by more than the color lens is uncertain.
 
 use nalgebra::{DMatrix, Matrix6, Vector3};
 
@@ -22,24 +22,22 @@ use crate::geometry::pose::Pose;
 /// The comparison.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FactoryCheck {
-    /// Root mean square of how far depth lies off the board by the factory's lens, pose and depth,
-    /// as a part of the distance.
+    /// Root mean square relative distance of depth from the board, with the factory's lens, pose
+    /// and depth.
     pub factory: f64,
-    /// The same on the same views by what was found in the other half of the views; infinite where
-    /// those are too few.
+    /// The same on the same views with the estimate from the other half of the views; infinite if
+    /// there are too few views for one.
     pub own: f64,
     /// How many views were compared.
     pub views: usize,
-    /// What color's own lens leaves open of all distances, as a part of them: one standard
-    /// deviation.
+    /// The relative uncertainty of all distances due to color's own lens: one standard deviation.
     pub open: f64,
-    /// The estimate with depth's lens, pose and error as the factory has them, where that is no
-    /// worse.
+    /// The estimate with the factory's lens, pose and error of depth, if these are no worse.
     pub kept: Option<Box<RgbdEstimate>>,
 }
 
-/// What was found must be better by this many standard deviations of what color's lens leaves
-/// open.
+/// The estimate must be better by this many standard deviations of the uncertainty due to color's
+/// lens.
 const SURE: f64 = 2.0;
 
 impl FactoryCheck {
@@ -58,8 +56,8 @@ impl FactoryCheck {
         for (held_out, half) in halves.views.iter().zip(halves.estimates.iter().rev()) {
             for index in held_out {
                 let view = &problem.views[*index];
-                // The factory's depth against where the joint solve has the board; what the other
-                // half found against where its own lens has it.
+                // The factory's depth is compared with the joint solve; that of the other half with
+                // the board's pose by its own color lens.
                 let board = estimate.color_from_board[*index];
                 factory.add((view, &board), &camera, &color_from_depth);
                 match half.as_ref().map(|half| (half, board_under(&half.color, view))) {
@@ -83,7 +81,7 @@ impl FactoryCheck {
         Some(Self { factory, own, views, open, kept })
     }
 
-    /// The proof in one line.
+    /// The comparison in one line.
     pub fn line(&self) -> String {
         let views = self.views;
         let percent = |part: f64| format!("{:.2} %", 100.0 * part);
@@ -130,13 +128,13 @@ impl Squares {
     }
 }
 
-/// Where a view's corners have the board under `lens`.
+/// The board's pose from a view's corners, with `lens`.
 fn board_under(lens: &Lens, view: &RgbdView) -> Option<Pose> {
     let view = BoardView { name: view.name.clone(), correspondences: view.color.clone() };
     board_poses(lens, &view).ok()?.first().map(|found| found.camera_from_board)
 }
 
-/// Each patch of the board with the 1/z that its plane has there.
+/// Each patch of the board, with the 1/z of its plane there.
 fn planes<'a>(
     (view, color_from_board): (&'a RgbdView, &Pose),
     lens: &'a Lens,

@@ -1,8 +1,8 @@
 //! What the operator should do next, in words and as an outline in the image.
 //!
 //! A fixed list of placements that together determine a lens well: five tilts in the middle, every
-//! corner and edge of the image, near and far. Advice asks for the first of them that no accepted
-//! view is near. What is wrong with the newest image is said first.
+//! corner and edge of the image, near and far. The advice is the first of them that no accepted
+//! view is close to. If something is wrong with the newest image, the message says that instead.
 
 use nalgebra::{Vector2, Vector3};
 
@@ -21,16 +21,16 @@ pub struct Guidance {
     /// The board's four outer corners as they should be seen next, in pixels, clockwise from the
     /// board's first corner; empty when no place is better than another.
     pub outline_px: Vec<Pixel>,
-    /// Where the board should be next.
+    /// The board's suggested pose.
     pub camera_from_board: Option<Pose>,
-    /// The goal's figure after that view, in pixels; `None` as long as nobody knows where a depth
-    /// camera beside color is.
+    /// The uncertainty after that view, in pixels; `None` while the pose of a depth camera beside
+    /// color is unknown.
     pub expected_uncertainty_px: Option<f64>,
     /// How many more views reach the goal, at least and at most; `None` without a goal.
     pub views_to_go: Option<[u32; 2]>,
 }
 
-/// A placement to ask for, and its words.
+/// A placement to suggest, and its words.
 struct SuggestedPlacement {
     words: &'static str,
     center: [f64; 2],
@@ -48,11 +48,11 @@ const fn suggest(
     SuggestedPlacement { words, center, size, tilt }
 }
 
-/// How far a tilted board is asked to be tilted, in radians: 34 degrees, of the 20 to 45 that the
-/// verdict asks for where the focal length is weak.
+/// The suggested angle of a tilted board, in radians: 34 degrees, of the 20 to 45 that the verdict
+/// asks for where the focal length is weak.
 const TILT_RAD: f64 = 0.6;
 /// The size ([`Placement::size`]) of a board that is neither near nor far: it spans 18 % of the
-/// image, and about a quarter of its width and height it nearly reaches the edges.
+/// image, and centered at a quarter of the image's width and height it nearly reaches the edges.
 const MEDIUM_SIZE: f64 = 0.42;
 /// Half as large: 5 % of the image.
 const HALF_SIZE: f64 = 0.22;
@@ -128,7 +128,7 @@ const SUGGESTIONS: [SuggestedPlacement; 15] = [
 const FULFILLED_STEPS: f64 = 1.7;
 
 /// What to do next with the board `target` in images of `size`, given the placements kept so far
-/// and what was wrong with the newest frame.
+/// and why the newest frame was rejected, if it was.
 pub fn advise(
     target: &Chessboard,
     size: ImageSize,
@@ -145,7 +145,7 @@ pub fn advise(
 fn next_suggestion(target: &Chessboard, size: ImageSize, kept: &[Placement]) -> Guidance {
     for suggested in &SUGGESTIONS {
         let Some((placement, outline_px)) = place(suggested, target, size) else { continue };
-        // How the board is rotated in the image is left to the operator.
+        // The operator is free to choose the board's roll.
         let fulfilled = |view: &Placement| {
             placement.steps_to(&Placement { roll: placement.roll, ..*view }) < FULFILLED_STEPS
         };
@@ -159,8 +159,7 @@ fn next_suggestion(target: &Chessboard, size: ImageSize, kept: &[Placement]) -> 
     Guidance { message: message.to_owned(), ..Guidance::default() }
 }
 
-/// What is wrong with the newest frame, as something to do; `None` if nothing has to be done about
-/// it.
+/// What to do about the rejection of the newest frame; `None` if nothing has to be done.
 pub(crate) fn obstacle(rejection: &Rejection) -> Option<String> {
     match rejection {
         Rejection::NoBoard(reason @ NoBoard::LowContrast { .. }) => Some(reason.to_string()),
@@ -203,7 +202,7 @@ fn place(
     })
 }
 
-/// The outer inner-corners of the board, held as suggested, but of size `scale`.
+/// The board's outermost inner corners, for a board held as suggested but with the size `scale`.
 fn outline(
     suggested: &SuggestedPlacement,
     scale: f64,

@@ -1,5 +1,5 @@
-//! The solve: of one camera or several, each with all of its sensors. A single camera is an
-//! instrument of one.
+//! The solve of an instrument: one camera or several, each with all of its sensors. A single camera
+//! is an instrument of one.
 
 use crate::calibration::beside_color::with_image_sensor;
 use crate::calibration::cameras::solve_cameras;
@@ -16,7 +16,7 @@ use crate::estimation::error::EstimationError;
 use crate::geometry::target::Target;
 use crate::imaging::frame::SensorKind;
 
-/// Calibrates every sensor of the instrument, and where it is beside the first camera's color.
+/// Calibrates every sensor of the instrument, and its pose relative to the first camera's color.
 ///
 /// # Errors
 /// [`InstrumentError`]: views that leave something open, or sensors that do not go together;
@@ -26,7 +26,8 @@ pub fn solve(
     options: &SolveOptions,
 ) -> Result<Calibration, InstrumentError> {
     let solved = solve_all(observations, options);
-    // A sensor that was given up early is not one that cannot be calibrated.
+    // If interrupted, a sensor may have been given up early: that is not a sensor that cannot be
+    // calibrated.
     options.camera.interrupt.check()?;
     solved
 }

@@ -30,7 +30,7 @@ fn options() -> SolveOptions {
     SolveOptions { camera, ..SolveOptions::default() }
 }
 
-/// A board that is rotated and carried about before color and, 75 mm beside it, another sensor.
+/// A board that moves and rotates in front of the color sensor and another sensor, 75 mm beside it.
 fn frame_sets(other: SensorKind, color_from_other: Pose) -> Vec<ObservedFrameSet> {
     let board = board();
     let mut noise = rand_chacha::ChaCha8Rng::seed_from_u64(5);

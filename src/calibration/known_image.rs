@@ -1,19 +1,19 @@
-//! How much of the image a lens is known well enough in, by the same limits whatever it was
+//! In how much of the image a lens is known well enough, by the same limits whatever it was
 //! calibrated from.
 
 use crate::calibration::result::Grade;
 use crate::estimation::uncertainty::UncertaintyMap;
 
-/// What a good calibration knows, and what a usable one does: this part of the image …
+/// A good calibration and a usable one know at least this fraction of the image …
 const KNOWN_PART: [f64; 2] = [0.95, 0.67];
-/// … to within this part of the image's diagonal (1 sigma): 0.4 and 1 px at 640x480, which with a
-/// lens 60 degrees wide are 0.7 and 1.8 mm at a meter.
+/// … to within this fraction of the image's diagonal (1 sigma): 0.4 and 1 px at 640x480, which with
+/// a lens 60 degrees wide are 0.7 and 1.8 mm at a meter.
 const KNOWN_TO: [f64; 2] = [0.0005, 0.00125];
 
 /// The uncertainty of projections over an image, with the limits to grade it by.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct KnownImage {
-    /// 1 sigma at each pixel of the grid that the lens sees.
+    /// 1 sigma at each pixel of the grid inside the lens's valid region.
     std_px: Vec<f64>,
     limits_px: [f64; 2],
 }
@@ -42,7 +42,7 @@ impl KnownImage {
         self.grade_widened(1.0)
     }
 
-    /// Its grade if uncertainties may be `factor` times as large.
+    /// Its grade if uncertainties were allowed to be `factor` times as large.
     pub(super) fn grade_widened(&self, factor: f64) -> Grade {
         let [good_px, usable_px] = self.limits_px.map(|limit_px| limit_px * factor);
         match KNOWN_PART {

@@ -8,7 +8,7 @@ use crate::geometry::pose::Pose;
 
 /// The longest shift that is tried, in frame sets.
 const LONGEST: isize = 10;
-/// Fewer frame sets together say nothing: three relative poses agree by chance.
+/// Fewer shared frame sets prove nothing: three relative poses may agree by chance.
 const LEAST_SHARED: usize = 4;
 /// A shift explains a scatter that is this many times its own. Poses of a board are known to a few
 /// parts in a thousand of their scatter over views that differ; any factor from 3 to 30 holds.

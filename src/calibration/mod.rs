@@ -1,5 +1,5 @@
-//! What the product decides: which views to keep, when it is enough, how far to trust the result.
-//! Pure; uses geometry, estimation and detection.
+//! What the product decides: which views to keep, when there are enough, and how far to trust the
+//! result. Pure; uses geometry, imaging, estimation, detection and features.
 
 pub mod admission;
 mod beside_color;

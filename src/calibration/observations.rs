@@ -1,5 +1,5 @@
-//! What the sensors of an instrument saw: the one input of [`crate::calibration::solve()`], whether
-//! the instrument is a camera, a depth camera, or a rig of either.
+//! The observations of an instrument's sensors: the one input of [`crate::calibration::solve()`],
+//! whether the instrument is a camera, a depth camera, or a rig of either.
 
 use crate::calibration::rgbd_input::{DepthSensor, RgbdFrameSet, RgbdInput};
 use crate::calibration::rig_input::RigSensorInput;
@@ -12,23 +12,23 @@ use crate::geometry::target::Target;
 use crate::imaging::depth_image::DepthImage;
 use crate::imaging::frame::SensorKind;
 
-/// What an instrument saw.
+/// The observations of an instrument.
 #[derive(Debug, Clone, PartialEq)]
 pub struct InstrumentObservations {
-    /// The board; `None` where correspondences were given without one, of one camera's color.
+    /// The board; `None` where correspondences were given without one, for one camera's color.
     pub board: Option<Target>,
     /// Its cameras, of which the first is the instrument's own frame.
     pub cameras: Vec<CameraFrameSets>,
 }
 
-/// What one camera's sensors saw.
+/// The observations of one camera's sensors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CameraFrameSets {
     /// Its name in the rig; `None` where the instrument is this camera.
     pub name: Option<String>,
     /// Its image sensors, color among them, with the size of their images.
     pub image_sensors: Vec<(SensorKind, ImageSize)>,
-    /// The lens of its color sensor, where that is known and held.
+    /// The lens of its color sensor, if it is known and held fixed.
     pub given: Option<Lens>,
     /// What is known of its depth sensor; `None` without one.
     pub depth: Option<DepthSensor>,
@@ -36,14 +36,16 @@ pub struct CameraFrameSets {
     pub frame_sets: Vec<ObservedFrameSet>,
 }
 
-/// What was seen in the frames of one frame set.
+/// The observations in one frame set.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ObservedFrameSet {
-    /// The frame set: other cameras' of the same number were taken together with it.
+    /// The number of the frame set; other cameras' frame sets with the same number were taken
+    /// together with it.
     pub number: usize,
     /// Its path or sequence number.
     pub name: String,
-    /// When color was taken, in seconds from an arbitrary origin; `None` where times mean nothing.
+    /// When color was taken, in seconds from an arbitrary origin; `None` if times are not
+    /// meaningful.
     pub time_s: Option<f64>,
     /// Whether it is a view. The others determine how the board moved, and the time offsets between
     /// the sensors.
@@ -116,8 +118,8 @@ impl CameraFrameSets {
         self.image_sensors.iter().find(|(kind, _)| *kind == sensor).map(|(_, size)| *size)
     }
 
-    /// The image sensors other than color and the infrared sensor whose images depth is computed
-    /// from: that one is solved together with depth.
+    /// The image sensors other than color, and other than the infrared sensor whose images depth is
+    /// computed from, which is solved together with depth.
     pub(super) fn beside_color(&self) -> impl Iterator<Item = SensorKind> {
         let with_depth = self.depth.is_some();
         let kinds = self.image_sensors.iter().map(|(kind, _)| *kind);
@@ -138,8 +140,8 @@ impl CameraFrameSets {
         }
     }
 
-    /// The same as one image sensor of several, called `name`. `frame_set_of` numbers a view, from
-    /// its index among the views and what was observed.
+    /// One image sensor as a sensor of a rig, called `name`. `frame_set_of` numbers a view, given
+    /// its index among the views and its frame set.
     pub(super) fn as_rig_sensor(
         &self,
         name: String,

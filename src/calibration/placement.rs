@@ -1,10 +1,10 @@
-//! The placement of a board before the camera, from one detection alone: position and size in the
-//! image, tilt and roll. Admission and guidance compare placements: a view is new if its placement
-//! differs from those of all accepted views.
+//! The placement of a board in front of the camera, from one detection only: position and size in
+//! the image, tilt and roll. Admission and guidance compare placements: a view is new if its
+//! placement differs from those of all accepted views.
 //!
-//! Tilts need a focal length before one is estimated: a nominal one is used. They are approximate,
-//! but the same for the same image, so which views are accepted does not depend on how fast a
-//! solve was.
+//! Tilts need a focal length before one is estimated, so a nominal one is used. They are
+//! approximate, but the same for the same image, so which views are accepted does not depend on how
+//! fast a solve was.
 
 use nalgebra::{Point2, Vector2, Vector3};
 
@@ -17,24 +17,24 @@ use crate::geometry::pixel::{ImageSize, Pixel};
 /// those of phones and webcams.
 pub(crate) const NOMINAL_FOCAL: f64 = 0.9;
 
-/// How a board is held before the camera.
+/// How a board is held in front of the camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Placement {
-    /// Its middle, as parts of the image's width and height, 0 to 1.
+    /// Its middle, as fractions of the image's width and height, 0 to 1.
     pub center: Vector2<f64>,
-    /// Square root of the part of the image's area that its inner corners span, 0 to 1.
+    /// Square root of the fraction of the image's area that its inner corners span, 0 to 1.
     pub size: f64,
-    /// Its normal's slopes to the line of sight, as angles in radians: x > 0 when its right side is
+    /// The angles of its normal to the line of sight, in radians: x > 0 when its right side is
     /// nearer, y > 0 when its lower side is nearer.
     pub tilt: Vector2<f64>,
     /// The direction of its rows in the image, in radians from the image's x axis, −π to π.
     pub roll: f64,
-    /// A half turn leaves it as it was.
+    /// Whether a half turn cannot be distinguished.
     pub half_turn_alike: bool,
 }
 
-// The difference of two placements in one respect alone that counts as one step: units in which
-// the limits of admission and guidance are stated.
+// The difference of two placements in one respect that counts as one step: the unit of the limits
+// of admission and guidance.
 /// Of the center, as a part of the image's width and height: 90 px at 640x480 along x.
 const CENTER_STEP: f64 = 0.14;
 /// Of the size, as a natural logarithm: 1.28 times as large.
@@ -46,14 +46,14 @@ const ROLL_STEP_RAD: f64 = 0.50;
 
 impl Placement {
     /// The placement of a detected board in an image of `size`; `None` if its outer corners are
-    /// neither seen nor known by what is seen of it, or they span nothing.
+    /// neither seen nor predicted by the others, or they span no area.
     pub fn of(detection: &Detection, size: ImageSize) -> Option<Self> {
         let placement = Self::of_outline(outer_corners(detection)?, detection.board, size)?;
         Some(Self { half_turn_alike: detection.orientation_ambiguous, ..placement })
     }
 
-    /// The placement of a board whose outer inner-corners are seen at `outline`: first, end of the
-    /// first row, last, start of the last row.
+    /// The placement of a board whose outermost inner corners are seen at `outline`: first, end of
+    /// the first row, last, start of the last row.
     pub fn of_outline(outline: [Pixel; 4], board: BoardSize, size: ImageSize) -> Option<Self> {
         let (width, height) = (f64::from(size.width), f64::from(size.height));
         let focal_px = NOMINAL_FOCAL * width.max(height);
@@ -78,7 +78,8 @@ impl Placement {
         (finite && placement.size > 0.0).then_some(placement)
     }
 
-    /// The distance of two placements in steps; below 1 they teach a calibration nearly the same.
+    /// The distance of two placements in steps; views of placements closer than 1 add nearly the
+    /// same information.
     pub fn steps_to(&self, other: &Self) -> f64 {
         let center = (self.center - other.center).norm() / CENTER_STEP;
         let size = (self.size / other.size).ln() / SIZE_STEP_LOG;
@@ -95,7 +96,8 @@ impl Placement {
     }
 }
 
-/// The board's outer inner-corners, in the order first, end of first row, last, start of last row.
+/// The board's outermost inner corners, in the order first, end of first row, last, start of last
+/// row.
 pub(crate) fn outer_corners(detection: &Detection) -> Option<[Pixel; 4]> {
     let (last_col, last_row) = (detection.board.cols as i32 - 1, detection.board.rows as i32 - 1);
     let at = |col: i32, row: i32| {
@@ -111,7 +113,7 @@ pub(crate) fn outer_corners(detection: &Detection) -> Option<[Pixel; 4]> {
     if let [Some(a), Some(b), Some(c), Some(d)] = ends.map(|(col, row)| at(col, row)) {
         return Some([a, b, c, d]);
     }
-    // Markers prove where in the board a part of it lies.
+    // Only markers prove where on the board a part of it lies.
     detection.markers?;
     let pairs: Vec<(Point2<f64>, Point2<f64>)> = (detection.corners.iter())
         .map(|DetectedCorner { index, pixel, .. }| {

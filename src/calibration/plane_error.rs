@@ -1,4 +1,4 @@
-//! How far depth is off the board's plane, as color sees it, reading by reading.
+//! The deviation of depth from the board's plane as color sees it, reading by reading.
 
 use nalgebra::{Point3, Vector3};
 
@@ -9,35 +9,35 @@ use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
 use crate::imaging::depth_image::DepthImage;
 
-/// Measured less true depth at each pixel of a depth image, in meters, row by row; NaN beside the
+/// Measured − true depth at each pixel of a depth image, in meters, row by row; NaN outside the
 /// board, and where nothing was measured.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlaneError {
     /// The image's size.
     pub size: ImageSize,
-    /// As the device gives depth.
+    /// With depth as the device reports it.
     pub before_m: Vec<f32>,
-    /// As corrected.
+    /// With corrected depth.
     pub after_m: Vec<f32>,
 }
 
-/// The board's surface reaches this many squares past its outer inner corners.
+/// The board's surface extends this many squares beyond its outermost corners.
 const MARGIN_SQUARES: f64 = 0.8;
 
-/// A depth image of a board, and where color sees that board.
+/// A depth image of a board, with the board's pose by color.
 #[derive(Debug, Clone, Copy)]
 pub struct BoardInDepthImage<'a> {
     /// The depth camera.
     pub camera: &'a DepthCamera,
-    /// Where it is in color's frame.
+    /// Its pose in color's frame.
     pub color_from_depth: &'a Pose,
     /// The board.
     pub board: &'a Target,
-    /// Where it is in color's frame.
+    /// The board's pose in color's frame.
     pub color_from_board: &'a Pose,
     /// The image.
     pub image: &'a DepthImage,
-    /// The reading that means none, if there is one.
+    /// The value that means no reading, if there is one.
     pub invalid: Option<u16>,
 }
 
@@ -64,21 +64,21 @@ pub fn plane_error(seen: &BoardInDepthImage<'_>) -> PlaneError {
 /// The error of corrected depth in one patch of a board.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PatchError {
-    /// The middle of the patch's readings, on the board's plane, in the depth camera's frame.
+    /// The mean of the patch's points on the board's plane, in the depth camera's frame.
     pub point_in_depth: Point3<f64>,
     /// The board's normal in the depth camera's frame.
     pub normal_in_depth: Vector3<f64>,
-    /// The median of measured less true depth, in meters.
+    /// The median of measured − true depth, in meters.
     pub error_m: f64,
 }
 
 /// Patches of the board along x and y.
 const PATCHES: [usize; 2] = [4, 3];
-/// Fewer readings are no patch.
+/// Patches with fewer readings are left out.
 const LEAST_READINGS: usize = 12;
 
-/// The errors of corrected depth in the patches of the board; patches without readings are left
-/// out.
+/// The errors of corrected depth in the patches of the board; patches with too few readings are
+/// left out.
 pub fn patch_errors(seen: &BoardInDepthImage<'_>) -> Vec<PatchError> {
     let BoardInDepthImage { camera, image, invalid, .. } = *seen;
     let plane = SeenPlane::of(seen);
@@ -102,13 +102,13 @@ pub fn patch_errors(seen: &BoardInDepthImage<'_>) -> Vec<PatchError> {
     patches.into_iter().filter_map(patch).collect()
 }
 
-/// The pixel of a reading by its place in the image, row by row.
+/// The pixel of the reading with index `k`, row by row.
 fn pixel_at(camera: &DepthCamera, k: usize) -> Pixel {
     let width = camera.image_size.width.max(1) as usize;
     Pixel::new((k % width) as f64, (k / width) as f64)
 }
 
-/// The board's plane as the depth camera should see it.
+/// The board's plane as predicted in the depth image.
 struct SeenPlane<'a> {
     camera: &'a DepthCamera,
     board_from_depth: Pose,
@@ -137,8 +137,8 @@ impl<'a> SeenPlane<'a> {
         }
     }
 
-    /// The point of the board at `pixel`, in the depth camera's frame and the board's; `None`
-    /// beside the board.
+    /// The point of the board at `pixel`, in the depth camera's frame and in the board's; `None`
+    /// outside the board.
     fn seen_at(&self, pixel: Pixel) -> Option<[Point3<f64>; 2]> {
         let ray = self.camera.lens.bearing_from_pixel(pixel).filter(|bearing| bearing.z > 0.0)?;
         let ray = ray.into_inner() / ray.z;
@@ -160,7 +160,7 @@ impl<'a> SeenPlane<'a> {
     }
 }
 
-/// Mean and root mean square of the errors that there are, in meters; `None` without any.
+/// Mean and root mean square of the finite errors, in meters; `None` if there are none.
 pub fn mean_and_rms_m(errors_m: &[f32]) -> Option<[f64; 2]> {
     let known = || errors_m.iter().filter(|error| error.is_finite()).map(|error| f64::from(*error));
     let count = known().count();

@@ -1,4 +1,4 @@
-//! Which images a calibration is of: it says nothing of those of another device, mode or size.
+//! Which images a calibration was made from: it does not hold for another device, mode or size.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,7 @@ use crate::calibration::session_record::{SessionRecord, is_another_device};
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::SensorKind;
 
-/// What decides which camera's images they are, as far as it is known.
+/// What identifies the camera and its images, as far as it is known.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Provenance {
     /// The source in the configuration, in words: a device or a recording, and its mode.
@@ -19,8 +19,8 @@ pub struct Provenance {
 }
 
 impl Provenance {
-    /// Of the images of `camera` that `calibration`, its own or a rig's, was made from; `record` is
-    /// of the session, if that is still stored.
+    /// The provenance of `calibration`, its own or a rig's, for the images of `camera`; `record` is
+    /// that of the session, if it is still stored.
     pub fn of(calibration: &Calibration, camera: &str, record: Option<&SessionRecord>) -> Self {
         let size = |sensor: &CalibratedSensor| match &sensor.result {
             SensorResult::Image(image) => (sensor.id.kind, image.image_size),
@@ -35,8 +35,8 @@ impl Provenance {
         }
     }
 
-    /// Why `calibration` (what to call it), which is of these images, may not hold for those of
-    /// `now`, and what to do; `None` where nothing is known to differ.
+    /// Why `calibration` (its name in messages), made from these images, may not be valid for those
+    /// of `now`, and what to do; `None` if no difference is known.
     pub fn change(&self, now: &Self, calibration: &str) -> Option<String> {
         let both = self.device.as_ref().zip(now.device.as_ref());
         if let Some((was, is)) = both.filter(|(was, is)| is_another_device(was, is)) {

@@ -26,8 +26,8 @@ use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
 use crate::imaging::frame::SensorKind;
 
-/// `calibration`, which holds what color gave by itself, with everything that the joint solve adds
-/// or makes surer.
+/// `calibration`, which has color as solved by itself, updated with everything from the joint
+/// solve.
 pub fn with_depth(
     mut calibration: Calibration,
     input: &RgbdInput,
@@ -47,7 +47,7 @@ pub fn with_depth(
         let halves = solved.halves.map(|halves| halves.color);
         calibration.verdict = in_halves(&solved.color, halves).verdict_of(color);
     }
-    // What views that were held out of color's own solve say is not said of this one.
+    // A check of views held out of color's own solve does not apply to the joint one.
     calibration.checks.held_out_rms_px = None;
     if let Some(halves) = &solved.halves {
         calibration.checks.split_half_ratio = halves.ratio();
@@ -74,7 +74,7 @@ pub fn with_depth(
     calibration
 }
 
-/// `verdict` with what is to be said of depth, as `of_depth` has it.
+/// `verdict` with the findings about depth, for the estimate `of_depth`.
 pub(super) fn judged_with_depth(
     mut verdict: Verdict,
     input: &RgbdInput,
@@ -103,7 +103,8 @@ pub(super) fn judged_with_depth(
     judge_depth(verdict, depth, solved.without_depth.len(), views_with_depth)
 }
 
-/// A sensor that was solved by itself, with what halves of the views say of the joint solve.
+/// A sensor that was solved by itself, with the difference between halves of the views in the joint
+/// solve.
 fn in_halves(alone: &SolvedCamera, halves: Option<LensDifference>) -> SolvedCamera {
     let mut solved = alone.clone();
     if let Some(lens) = halves {
@@ -112,7 +113,8 @@ fn in_halves(alone: &SolvedCamera, halves: Option<LensDifference>) -> SolvedCame
     solved
 }
 
-/// What two halves of the views say of where depth is, and of its lens where only planes show it.
+/// The difference between two halves of the views in the pose of depth, and in its lens if only
+/// planes determine it.
 pub(super) fn halves_of_depth(solved: &SolvedRgbd) -> Vec<Finding> {
     let Some(RgbdDifference { depth, color_from_depth, .. }) = solved.halves else {
         return Vec::new();
@@ -136,7 +138,7 @@ pub(super) fn halves_of_depth(solved: &SolvedRgbd) -> Vec<Finding> {
     pose.into_iter().chain(lens).collect()
 }
 
-/// Where depth is in color's frame, by the device alone.
+/// The pose of depth in color's frame, from the device's own solve.
 pub(super) fn color_from_depth(
     source: SensorId,
     color: SensorId,
@@ -152,7 +154,7 @@ pub(super) fn color_from_depth(
     }
 }
 
-/// The views without a board in color, where they are many.
+/// A finding if many views have no board in color.
 pub fn without_color(input: &RgbdInput) -> Option<String> {
     let views = || {
         input.frame_sets.iter().filter(|frame_set| frame_set.is_view && frame_set.depth.is_some())
@@ -164,12 +166,12 @@ pub fn without_color(input: &RgbdInput) -> Option<String> {
     })
 }
 
-/// Standard deviation of the sensors' distance along color's axis above which it is reported, in
-/// meters.
+/// The greatest standard deviation of the distance between the sensors along color's axis that is
+/// not reported, in meters.
 const WEAK_M: f64 = 0.005;
 
-/// Planes alone hardly separate the distance between the sensors along the axis from the focal
-/// length and the quadratic term of depth's error.
+/// A finding if the pose of depth is weak: planes alone hardly separate the distance between the
+/// sensors along the axis from the focal length and the quadratic term of the depth error.
 fn weak_place(estimate: &RgbdEstimate) -> Option<String> {
     let std_m = PoseStd::of(&estimate.color_from_depth_covariance).translation_m;
     let [x_mm, y_mm, z_mm] = std_m.map(|std_m| 1e3 * std_m);
@@ -192,13 +194,14 @@ fn not_together(joint: &RgbdEstimate) -> String {
     )
 }
 
-/// What lies around a board that is uneven by more than this, in meters (rms), is no part of its
-/// plane. Depth on the board is compared with its measured surface, and as exact as by a flat one;
-/// of seeded boards bowed by 0.7 mm rms on a wide flat table it is off by 2 mm at the far end of
-/// what was seen, of boards that nothing lies around not at all.
+/// A board that is more uneven than this, in meters (rms), is reported: what lies around it does
+/// not continue its plane. Depth on the board is compared with its measured surface, and is as
+/// accurate as with a flat one. Of seeded boards bowed by 0.7 mm rms on a wide flat table it is off
+/// by 2 mm at the far end of what was seen, of boards that nothing lies around not at all.
 const UNEVEN_FOR_DEPTH_M: f64 = 0.001;
 
-/// That depth around a board is compared with the plane of one which is none.
+/// A finding that the board is not flat, so that depth around it is compared with a plane that does
+/// not fit.
 fn bent_for_depth(solved: &SolvedRgbd) -> Option<String> {
     let unevenness_m = solved.color.sensor.board_shape.as_ref()?.unevenness_m;
     (unevenness_m > UNEVEN_FOR_DEPTH_M).then(|| {
@@ -209,7 +212,7 @@ fn bent_for_depth(solved: &SolvedRgbd) -> Option<String> {
     })
 }
 
-/// Views whose depth image is missing.
+/// A finding if depth images are missing in views.
 fn without_depth_image(input: &RgbdInput) -> Option<String> {
     let views = || {
         input.frame_sets.iter().filter(|frame_set| frame_set.is_view && !frame_set.color.is_empty())
@@ -223,7 +226,7 @@ fn without_depth_image(input: &RgbdInput) -> Option<String> {
     ))
 }
 
-/// Views whose depth image did not serve, and why the first of them did not.
+/// A finding if depth images could not be used, with the reason of the first.
 fn depth_not_used(solved: &SolvedRgbd, views: usize) -> Option<String> {
     let ViewWithoutDepth { name, reason } = solved.without_depth.first()?;
     let count = solved.without_depth.len();
@@ -236,12 +239,12 @@ fn depth_not_used(solved: &SolvedRgbd, views: usize) -> Option<String> {
 /// cameras err by 1 or 2 parts in a hundred.
 const REPORTED_ABOVE: f64 = 0.03;
 
-/// A wrong unit or a wrong square gives the same factor in every view: the median by which views
-/// deviate from it is less than this part of its difference from 1.
+/// A wrong unit or a wrong square gives the same factor in every view: the views' median deviation
+/// from it is less than this fraction of its difference from 1.
 const SAME_FACTOR: f64 = 0.3;
 
-/// Whether depth differs from the board by one factor in all views, as it does with a wrong unit of
-/// depth or a wrong square.
+/// A finding if depth differs from the board by the same factor in all views, as with a wrong unit
+/// of depth or a wrong square.
 fn scale_doubt(joint: &RgbdEstimate, board: &Target) -> Option<String> {
     let DepthReading::Metric { unit_m } = joint.depth.reading else { return None };
     let factor_of = |view: &Vec<JudgedTile>| {
@@ -274,11 +277,12 @@ fn scale_doubt(joint: &RgbdEstimate, board: &Target) -> Option<String> {
     ))
 }
 
-/// A factor beyond this many of its standard deviations has a cause.
+/// A factor that differs from 1 by more than this many standard deviations has a cause.
 const SURE: f64 = 3.0;
 
-/// The standard deviation of the factor between depth and the board: by where the depth camera is
-/// along color's axis, whose own deviation in meters is given too, and by color's focal length.
+/// The standard deviation of the factor between depth and the board, due to the position of the
+/// depth camera along color's axis and to color's focal length; with the former's standard
+/// deviation in meters.
 fn factor_std(joint: &RgbdEstimate) -> Option<(f64, f64)> {
     let distances = joint.judged.iter().flatten().map(|judged| 1.0 / judged.tile.inverse_depth);
     let distance_m = median(distances.collect())?;
@@ -287,15 +291,14 @@ fn factor_std(joint: &RgbdEstimate) -> Option<(f64, f64)> {
     Some((focal.hypot(along_m / distance_m), along_m))
 }
 
-/// Where the joint solve has the board, for one document that holds together: its lenses project
-/// its corners, at its poses, as far off as it says.
+/// The boards' poses in the joint solve, for a consistent document: with its lenses and these
+/// poses, its corners have the reprojection errors that it states.
 struct JointViews<'a> {
     solved: &'a SolvedRgbd,
 }
 
 impl JointViews<'_> {
-    /// Puts poses and errors of `sensor`, which `alone` was solved for by itself, where the joint
-    /// solve has them.
+    /// Sets the poses and errors of `sensor` to those of the joint solve; `alone` is its own solve.
     fn place(&self, sensor: &mut ImageCalibration, alone: &SolvedCamera, kind: SensorKind) {
         let (mut squares, mut count) = (0.0, 0.0);
         for (view, estimate) in sensor.views.iter_mut().zip(&alone.estimate.views) {
@@ -324,8 +327,8 @@ impl JointViews<'_> {
         }
     }
 
-    /// Where the board of view `place` is in the frame of a sensor. Infrared that was taken at
-    /// another moment saw the board elsewhere: where its own corners say.
+    /// The board's pose in a sensor in view `place`. If infrared was taken at another time it saw
+    /// the board elsewhere: then its own corners give the pose.
     fn pose(
         &self,
         place: usize,

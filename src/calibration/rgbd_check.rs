@@ -1,4 +1,4 @@
-//! Answers of the joint solve of color and depth that fit, but cannot be: another unit, another
+//! Rejects solutions of color and depth that fit but are not possible: another unit, another
 //! device, a mirrored image.
 
 use crate::calibration::rgbd_error::RgbdError;
@@ -9,17 +9,18 @@ use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::depth_camera::DepthReading;
 use crate::geometry::median::median;
 
-/// Depth this many times the board's distance, or less than one part in this, has another unit.
+/// If depth is more than this many times the board's distance, or less than its reciprocal, the
+/// unit is wrong.
 const UNIT_LIMIT: f64 = 1.2;
 
-/// The median by which patches may deviate from that factor for all that, as a part of it.
+/// The most that patches may deviate from that factor, as a relative median, for it to be a unit.
 const UNIT_DEVIATION: f64 = 0.1;
 
-/// At least this part of the patches follows a board.
+/// The least fraction of patches that must follow the board.
 const LEAST_FOLLOWING: f64 = 0.6;
 
-/// The most that is left of 1/z between a patch and the board, as a part of it, in the middle of
-/// all patches.
+/// The most that may remain of the relative difference in 1/z between patches and the board, as the
+/// median over all patches.
 const MOST_LEFT: f64 = 0.02;
 
 /// The greatest distance between sensors of one device, in meters, …
@@ -38,7 +39,7 @@ pub(super) fn check_joint(joint: &RgbdEstimate, lens_from: DepthLens) -> Result<
         median(factors().map(|one| (one / factor - 1.0).abs()).collect()).unwrap_or(0.0);
     let wrong_unit = !(1.0 / UNIT_LIMIT..UNIT_LIMIT).contains(&factor);
     if wrong_unit && matches!(joint.depth.reading, DepthReading::Metric { .. }) {
-        // Another unit is the same factor everywhere; another scene is not.
+        // A wrong unit gives the same factor everywhere; another scene does not.
         return Err(match deviation < UNIT_DEVIATION {
             true => RgbdError::Unit { factor, factor_inverse: 1.0 / factor },
             false => RgbdError::Disagree { percent: 100.0 },

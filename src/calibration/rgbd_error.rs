@@ -5,7 +5,7 @@ use crate::estimation::error::EstimationError;
 /// Why color and depth could not be calibrated.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RgbdError {
-    /// One sensor by itself could not be.
+    /// One sensor could not be calibrated by itself.
     #[error("{sensor}: {source}")]
     Sensor {
         /// Which.
@@ -13,14 +13,14 @@ pub enum RgbdError {
         /// Why not.
         source: EstimationError,
     },
-    /// Depth images without a reading in them.
+    /// No depth image has a reading.
     #[error(
         "none of {images} depth images holds a measured pixel, all read {reading} everywhere: see that the depth stream is on, recorded as 16-bit depth, and has the board within its range; or leave depth out and calibrate color by itself"
     )]
     NothingMeasured {
         /// How many views have one.
         images: usize,
-        /// What it reads: that nothing was measured.
+        /// The value that they read, which means that nothing was measured.
         reading: u16,
     },
     /// Too few frame sets have the board's surface in depth.
@@ -32,12 +32,12 @@ pub enum RgbdError {
         usable: usize,
         /// Of how many with the board in color.
         all: usize,
-        /// Why the others have not, as `; how many, as view: reason` each, the commonest first, or
-        /// nothing.
+        /// Why the others do not, as `; how many, as view: reason` each, the most frequent first,
+        /// or empty.
         reasons: String,
     },
-    /// The lens that was fitted to planes alone sees the board elsewhere: they leave it open, or
-    /// depth is not the board's.
+    /// The lens that was fitted to planes only projects the board elsewhere: either the planes do
+    /// not determine it, or depth is not of the board.
     #[error(
         "{usable} of {all} views have the board in the depth image{reasons}, but the lens that fits its planes does not see it there: tilt the board more, near and far, or record infrared; and check that depth and color are of the same device, not mirrored, and taken together"
     )]
@@ -46,10 +46,10 @@ pub enum RgbdError {
         usable: usize,
         /// Of how many with the board in color.
         all: usize,
-        /// As of [`RgbdError::TooLittleDepth`].
+        /// As in [`RgbdError::TooLittleDepth`].
         reasons: String,
     },
-    /// The lens that fits the planes best is none that depth cameras have.
+    /// The lens that fits the planes best is implausible for a depth camera.
     #[error(
         "the depth lens that fits the board best has focal lengths of {fx:.0} and {fy:.0} px and its principal point at ({cx:.0}, {cy:.0}), as no depth camera has: check that depth and color are of the same device, not mirrored, and taken together; and tilt the board more, near and far, or record infrared"
     )]
@@ -63,22 +63,22 @@ pub enum RgbdError {
         /// Its other coordinate.
         cy: f64,
     },
-    /// Depth is a multiple of what the board says.
+    /// Depth is a multiple of the board's distance.
     #[error(
         "depth reads {factor:.3} times the board's distance: check the unit of depth (meters per unit: about {factor_inverse:.4} of what is stated would fit), the board's square, and that depth and color are of the same device"
     )]
     Unit {
-        /// How many times.
+        /// The factor.
         factor: f64,
-        /// The other way round.
+        /// Its reciprocal.
         factor_inverse: f64,
     },
-    /// Depth is not the board's.
+    /// Depth is not of the board.
     #[error(
         "depth does not follow the board: {percent:.0} % of its surface in depth lies off the plane that color sees: check that depth and color are of the same device, not swapped, not mirrored, and taken together"
     )]
     Disagree {
-        /// Part of the patches.
+        /// The fraction of the patches, in percent.
         percent: f64,
     },
     /// The sensors would be too far from each other for one device.
@@ -91,12 +91,13 @@ pub enum RgbdError {
         /// How much they are rotated against each other.
         degrees: f64,
     },
-    /// No pose of the sensors, and no lens of the depth camera, lets planes and corners agree.
+    /// No pose of the sensors, with any lens of the depth camera, makes planes and corners
+    /// consistent.
     #[error(
         "no pose of the sensors lets depth and color agree: check that depth and color are of the same device, not swapped, not mirrored, and taken together"
     )]
     NotOneDevice,
-    /// All together could not be.
+    /// The joint solve failed.
     #[error("color and depth together: {0}")]
     Joint(EstimationError),
 }

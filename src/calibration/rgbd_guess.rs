@@ -1,5 +1,6 @@
-//! What the joint solve of color, infrared and depth starts from: the sensors calibrated one by
-//! one, the board's motion, what disparity means, and the board's surface in every depth image.
+//! The initial guess for the joint solve of color, infrared and depth: the sensors calibrated one
+//! by one, the board's motion, the meaning of disparity, and the board's surface in every depth
+//! image.
 
 use std::cmp::Reverse;
 use std::mem::discriminant;
@@ -30,7 +31,7 @@ use crate::geometry::target::Target;
 /// The joint problem.
 pub(super) struct Measured {
     pub(super) problem: RgbdProblem,
-    /// Which frame set of the input each view of the problem is.
+    /// The input's frame set of each view of the problem.
     pub(super) frame_set_of_view: Vec<usize>,
     /// Views whose depth could not be used.
     pub(super) without_depth: Vec<ViewWithoutDepth>,
@@ -46,7 +47,7 @@ pub struct ViewWithoutDepth {
 }
 
 impl Measured {
-    /// That the lens which was fitted to these planes no longer sees the board there.
+    /// The error that the lens fitted to these planes no longer sees the board there.
     pub(super) fn lens_elsewhere(&self) -> RgbdError {
         let views = &self.problem.views;
         RgbdError::LensElsewhere {
@@ -57,7 +58,7 @@ impl Measured {
     }
 }
 
-/// What the joint solve starts from.
+/// The start of the joint solve.
 pub(super) struct Guess {
     color: Lens,
     color_options: CameraOptions,
@@ -69,9 +70,9 @@ pub(super) struct Guess {
     pub(super) depth_from_color: Pose,
     reading: DepthReading,
     size: ImageSize,
-    /// The board's, where color measured it.
+    /// The board's surface, if color measured it.
     surface: Option<BoardSurface>,
-    /// Of every frame set that has one.
+    /// For every frame set with a pose.
     color_from_board: Vec<Option<Pose>>,
     infrared_used: Vec<bool>,
     motions: Vec<Option<BoardMotion>>,
@@ -145,8 +146,8 @@ impl Guess {
         guess
     }
 
-    /// The board's motion at each frame set, and the time between the sensors, by every frame set
-    /// that both see the board in.
+    /// Estimates the board's motion at each frame set, and the time between the sensors from the
+    /// frame sets in which both see the board.
     fn find_motion(
         &mut self,
         input: &RgbdInput,
@@ -185,8 +186,8 @@ impl Guess {
             .filter(|offset| offset.std_s < LEAST_SURE_S);
     }
 
-    /// What disparity means, from what is read in the board's middle and how far away color says
-    /// it is: the line through the pairs by the median of the slopes between them (H. Theil, 1950).
+    /// The meaning of disparity, from the values in the board's middle and its distance by color:
+    /// the line through these pairs, by the median of the slopes between them (H. Theil, 1950).
     fn disparity(&self, input: &RgbdInput) -> Option<DepthReading> {
         let middle = Point3::from(extent_of(&input.board).center_in_board);
         let pair = |(frame_set, pose): (&RgbdFrameSet, &Option<Pose>)| {
@@ -213,7 +214,8 @@ impl Guess {
         Some(DepthReading::Disparity { offset, slope })
     }
 
-    /// The board's surface in every depth image, up to `margin` squares past its outer corners.
+    /// Measures the board's surface in every depth image, up to `margin` squares beyond its
+    /// outermost corners.
     pub(super) fn measured(&self, input: &RgbdInput, margin: f64) -> Result<Measured, RgbdError> {
         let (mut views, mut frame_set_of_view, mut without_depth) =
             (Vec::new(), Vec::new(), Vec::new());
@@ -263,7 +265,7 @@ impl Guess {
         Ok(Measured { problem: self.problem(views), frame_set_of_view, without_depth })
     }
 
-    /// The board's `tiles` as they would be on its plane, which is what they are compared with.
+    /// The board's `tiles` reduced to its plane, which they are compared with.
     fn on_plane(&self, tiles: Vec<DepthTile>, color_from_board: &Pose) -> Vec<DepthTile> {
         let Some(surface) = &self.surface else { return tiles };
         let depth_from_board = self.depth_from_color * *color_from_board;
@@ -299,10 +301,9 @@ impl Guess {
     }
 }
 
-/// Why views are without depth: each reason with how many have it and the first of them, the
-/// commonest first.
+/// Why views have no depth: each reason with its count and its first view, the most frequent first.
 fn reasons(without_depth: &[ViewWithoutDepth]) -> String {
-    // How often each reason was given, with the first view that has it.
+    // Each reason's count, with its first view.
     let mut each: Vec<(usize, &ViewWithoutDepth)> = Vec::new();
     for view in without_depth {
         let same = |(_, first): &&mut (usize, &ViewWithoutDepth)| {
@@ -320,8 +321,8 @@ fn reasons(without_depth: &[ViewWithoutDepth]) -> String {
     each.iter().map(line).collect()
 }
 
-/// The board's edge in the image of a depth camera, `margin` squares past its outer inner corners;
-/// what the lens does not see is left out.
+/// The board's outline in the image of a depth camera, `margin` squares beyond its outermost
+/// corners; points outside the lens's valid region are left out.
 pub(super) fn board_outline(
     board: &Target,
     depth: &PosedDepthLens,
@@ -344,7 +345,7 @@ pub(super) fn board_outline(
     points.filter_map(|point| depth.lens.pixel_from_point(&(depth_from_board * point))).collect()
 }
 
-/// The middle of the board's corners, and how far the outermost are from it.
+/// The middle of the board's corners, and the distance of the outermost from it.
 fn extent_of(board: &Target) -> BoardExtent {
     let [near, far] = board.extent();
     BoardExtent {
@@ -353,7 +354,7 @@ fn extent_of(board: &Target) -> BoardExtent {
     }
 }
 
-/// By how much a sensor's corners scatter more than their own deviations say; above 0.
+/// The scatter of a sensor's corners relative to their predicted standard deviations; above 0.
 fn noise(
     input: &RgbdInput,
     solved: &SolvedCamera,
@@ -370,10 +371,10 @@ fn noise(
     (sum / f64::from(count.max(1))).sqrt().max(f64::MIN_POSITIVE)
 }
 
-/// A time that is less sure than this, in seconds, is none.
+/// A time offset that is less certain than this, in seconds, is not used.
 const LEAST_SURE_S: f64 = 0.02;
 
-/// Where the board was in a frame set that is no view.
+/// The board's pose in a frame set that is no view.
 fn moving_pose(lens: &Lens, frame_set: &RgbdFrameSet, corners: &[Correspondence]) -> Option<Pose> {
     if frame_set.is_view || corners.is_empty() {
         return None;
@@ -382,7 +383,7 @@ fn moving_pose(lens: &Lens, frame_set: &RgbdFrameSet, corners: &[Correspondence]
     board_poses(lens, &view).ok()?.first().map(|pose| pose.camera_from_board)
 }
 
-/// A pinhole that sees about as much of the world as another camera does.
+/// A pinhole lens with about the same field of view as another camera's.
 pub(super) fn same_view(lens: &Lens, lens_size: ImageSize, size: ImageSize) -> Lens {
     let scale = f64::from(size.width) / f64::from(lens_size.width);
     let focal = lens.matrix.fx * scale;

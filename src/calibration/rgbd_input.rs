@@ -1,4 +1,4 @@
-//! What a camera with color and depth saw, before anything is calibrated.
+//! The observations of a camera with color and depth, before calibration.
 
 use crate::calibration::rgbd_error::RgbdError;
 use crate::calibration::solve::SolvedCamera;
@@ -9,28 +9,28 @@ use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
 use crate::imaging::depth_image::DepthImage;
 
-/// What is known of a depth camera beforehand.
+/// What is known of a depth camera before calibration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DepthSensor {
-    /// What its numbers mean; `None` for disparity of unknown meaning: it is
-    /// estimated from the board.
+    /// The meaning of its numbers; `None` for disparity of unknown meaning, which is then estimated
+    /// from the board.
     pub reading: Option<DepthReading>,
-    /// The reading that means none, besides 0 for metric depth.
+    /// The value that means no reading, besides 0 for metric depth.
     pub invalid: Option<u16>,
     /// What the device states of its lens and pose.
     pub factory: Option<PosedDepthLens>,
-    /// The infrared image is the depth image's: same size, same lens. Default for every device
-    /// that has one.
+    /// Whether the infrared image has the geometry of the depth image: same size, same lens.
+    /// Default for every device that has one.
     pub with_infrared: bool,
 }
 
-/// What was seen at one instant.
+/// The observations in one frame set.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RgbdFrameSet {
     /// Its path or sequence number.
     pub name: String,
-    /// When the color image was taken, in seconds from an arbitrary origin; `None` where
-    /// times mean nothing.
+    /// When the color image was taken, in seconds from an arbitrary origin; `None` if times are not
+    /// meaningful.
     pub time_s: Option<f64>,
     /// Whether it is a view. The others determine the board's motion, and the time between the
     /// sensors' exposures.
@@ -82,7 +82,7 @@ pub(super) fn views(input: &RgbdInput) -> impl Iterator<Item = &RgbdFrameSet> {
     input.frame_sets.iter().filter(|frame_set| frame_set.is_view)
 }
 
-/// The problem of one sensor by itself, whose corners `seen` gives.
+/// The problem of one sensor by itself, whose corners `seen` returns.
 pub(super) fn problem(
     input: &RgbdInput,
     image_size: ImageSize,
@@ -95,7 +95,7 @@ pub(super) fn problem(
     CameraProblem { image_size, views }
 }
 
-/// The pose of every frame set that a sensor's solve used.
+/// For each frame set, the pose from a sensor's solve, if that used it.
 pub(super) fn poses(
     input: &RgbdInput,
     solved: &SolvedCamera,

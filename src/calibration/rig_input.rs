@@ -1,4 +1,4 @@
-//! What a rig saw, before anything is calibrated.
+//! The observations of a rig, before calibration.
 
 use crate::calibration::sensor::SensorId;
 use crate::estimation::rig::FrameSetView;
@@ -15,16 +15,16 @@ pub struct RigInput {
     pub sensors: Vec<RigSensorInput>,
 }
 
-/// One image sensor of a rig and what it saw.
+/// One image sensor of a rig with its observations.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RigSensorInput {
     /// Which.
     pub id: SensorId,
-    /// What it is called in messages.
+    /// Its name in messages.
     pub name: String,
     /// The size of its images.
     pub image_size: ImageSize,
-    /// Its lens, where that is known and held.
+    /// Its lens, if it is known and held fixed.
     pub given: Option<Lens>,
     /// What it saw.
     pub views: Vec<FrameSetView>,

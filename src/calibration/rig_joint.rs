@@ -19,14 +19,14 @@ use crate::geometry::pose::Pose;
 pub(super) struct Joint {
     pub(super) sensors: Vec<ImageCalibration>,
     pub(super) extrinsics: Vec<Extrinsics>,
-    /// For each sensor: its noise together with the others over that by itself.
+    /// For each sensor: its residuals in the joint solve over those by itself.
     rms_ratio: Vec<f64>,
-    /// For each sensor, where there are enough frame sets.
+    /// For each sensor, if there are enough frame sets: the difference between two halves of them.
     pub(super) halves: Vec<SensorHalves>,
 }
 
 impl Joint {
-    /// On the board as its cameras measured it, unless they fit it better as it is stated.
+    /// Solves with the board as the cameras measured it, unless the stated board fits better.
     pub(super) fn solve(
         input: &RigInput,
         group: &[&Alone<'_>],
@@ -101,7 +101,7 @@ impl Joint {
         })
     }
 
-    /// By how much all cameras fit worse together than by themselves.
+    /// How much worse the cameras fit together than by themselves: the sum of the squared ratios.
     fn misfit(&self) -> f64 {
         self.rms_ratio.iter().map(|ratio| ratio * ratio).sum()
     }
@@ -151,8 +151,8 @@ impl Joint {
         misfitting.chain(open).chain(differing).chain(contradicted).collect()
     }
 
-    /// That a good part of a camera's views, which it explains by itself, are not where the others
-    /// have the board: outliers that come together are no outliers.
+    /// A finding if a large part of a camera's views, which fit by themselves, contradict the
+    /// board's poses by the other cameras: so many views are no outliers.
     fn contradicted(&self, member: usize, group: &[&Alone<'_>]) -> Option<Finding> {
         let alone = &group[member].solved.sensor.views;
         let used = alone.iter().filter(|view| view.used).count();
@@ -170,12 +170,12 @@ impl Joint {
     }
 }
 
-/// The part of a camera's views above which views that contradict the others are no outliers: few
-/// boards move in so many. Chosen, not swept.
+/// The fraction of a camera's views above which contradicting views are no outliers: boards rarely
+/// move in so many. Chosen, not swept.
 const CONTRADICTED: f64 = 0.25;
 
-/// The board as cameras that labeled it alike in all their views measured it, its points where
-/// `labels` say that they are; `None` where none did.
+/// The board's shape as measured by cameras with the same labels in all their views, with its
+/// points moved to where `labels` place them; `None` if there is no such camera.
 fn measured_by(
     group: &[&Alone<'_>],
     (board_from_labels, chosen): (&[Pose], &[Vec<usize>]),
@@ -190,8 +190,8 @@ fn measured_by(
     MeasuredBoard::mean_of(&shapes)
 }
 
-/// A camera whose residuals grow by more than this when it is solved with the others was not where
-/// they say.
+/// If a camera's residuals grow by more than this factor in the joint solve, its pose is not
+/// constant.
 const MISFITTING: f64 = 1.5;
 /// Standard deviations above which a relative pose is reported as loose: of the rotation in
 /// degrees, of the translation as a part of its length.
@@ -202,7 +202,7 @@ fn largest(values: [f64; 3]) -> f64 {
     values.into_iter().fold(0.0, f64::max)
 }
 
-/// The pose the other way round, with its covariance carried along.
+/// The inverse pose, with its covariance propagated.
 fn reference_from(reference: &SensorId, sensor: &SensorId, pose: &SensorPose) -> Extrinsics {
     let by_pose = pose.sensor_from_rig.inverse_jacobian();
     let std = PoseStd::of(&(by_pose * pose.covariance * by_pose.transpose()));

@@ -14,7 +14,7 @@ pub(super) struct Alone<'a> {
 }
 
 impl Alone<'_> {
-    /// Whether it is of another camera, or another sensor of the only one.
+    /// Whether it belongs to another camera, or is another sensor of the only one.
     pub(super) fn is_other_than(&self, other: &Self) -> bool {
         match (&self.input.id.camera, &other.input.id.camera) {
             (None, None) => self.input.id.kind != other.input.id.kind,
@@ -32,8 +32,8 @@ impl Alone<'_> {
         views.filter_map(pose).collect()
     }
 
-    /// What it saw, with the points of each view where `symmetries` say that they are, and the noise
-    /// floor that it found by itself in the deviation of each corner.
+    /// Its observations with the labels of each view corrected by the `chosen` symmetry, and with
+    /// its own noise floor in the standard deviation of each corner.
     pub(super) fn with_labels_corrected(
         &self,
         board_from_labels: &[Pose],

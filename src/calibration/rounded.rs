@@ -1,9 +1,9 @@
-//! Numbers as people read them: as many digits as their uncertainty leaves.
+//! Numbers for people: with as many digits as their uncertainty justifies.
 
 /// A value and its standard deviation, the latter to two significant digits and the former to the
 /// same decimal place: `0.2205 ± 0.0021`.
 pub fn value_with_std(value: f64, std: f64) -> String {
-    // Rounding to two digits first: 0.0996 is 0.10.
+    // Rounded to two digits first: 0.0996 is 0.10.
     let digits = format!("{:.1e}", std.abs());
     let exponent: i32 = digits.rsplit('e').next().and_then(|e| e.parse().ok()).unwrap_or(0);
     let known = std.is_finite() && std != 0.0;
@@ -11,7 +11,7 @@ pub fn value_with_std(value: f64, std: f64) -> String {
     format!("{value:.decimals$} ± {std:.decimals$}")
 }
 
-/// Two values to `decimals` places, or to as many more as it takes for them to differ.
+/// Two values with `decimals` places, or with as many more as it takes for them to differ.
 pub fn in_differing_digits(values: [f64; 2], decimals: usize) -> [String; 2] {
     let rounded = |decimals: usize| values.map(|value| format!("{value:.decimals$}"));
     let mut places = decimals..MAX_DECIMALS as usize;
@@ -19,7 +19,7 @@ pub fn in_differing_digits(values: [f64; 2], decimals: usize) -> [String; 2] {
     rounded(differing.unwrap_or(decimals))
 }
 
-/// Beyond this, a double's own rounding is all that would be shown.
+/// Further digits would only show the rounding of a double.
 const MAX_DECIMALS: i32 = 12;
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
-//! The estimate that a session shows while it collects: gone on from view to view, which costs a
-//! fraction of a solve, and made anew where going on is suspect. The calibration itself never
-//! comes this way: it is solved from nothing at the end.
+//! The estimate that a session shows while it collects. It is continued from view to view, which
+//! takes a fraction of a solve, and made anew when the continuation is suspect. The calibration
+//! itself is never a continuation: it is solved from scratch at the end.
 
 use std::sync::Arc;
 
@@ -14,31 +14,30 @@ use crate::estimation::model_check::ModelCheck;
 use crate::estimation::problem::{CameraProblem, LensChoice};
 use crate::estimation::uncertainty::Distance;
 
-/// With fewer views an estimate costs little anew, and each new one still changes much.
+/// With fewer views a new estimate takes little time, and each view still changes much.
 const LEAST_VIEWS: usize = 8;
 
-/// Residuals may be this many times those of the estimate before: one view more among
-/// [`LEAST_VIEWS`] and above changes them less, unless something is wrong with it or with the
-/// estimate.
+/// Residuals may be at most this many times those of the previous estimate: with [`LEAST_VIEWS`] or
+/// more, one more view changes them less, unless something is wrong with it or with the estimate.
 const RESIDUALS: f64 = 1.25;
 
-/// No parameter may move by more than this many of its standard deviations before: one view more
+/// No parameter may move by more than this many of its previous standard deviations: one more view
 /// moves them by less than one.
 const MOVED: f64 = 4.0;
 
 /// An estimate of the views so far.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EstimateSoFar {
-    /// What is shown of it.
+    /// The part that is shown.
     pub running: RunningEstimate,
-    /// What the next one goes on from; `None` if that is to be made anew.
+    /// What the next estimate continues from; `None` if it has to be made anew.
     pub going_on: Option<GoingOn>,
-    /// Whether halves of the views agree as well as a good verdict asks; with too few views for
-    /// halves nothing speaks against it.
+    /// Whether halves of the views agree as well as a good verdict requires; true if there are too
+    /// few views for halves.
     pub model_holds: bool,
 }
 
-/// What an estimate leaves to the next one.
+/// What an estimate passes on to the next one.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GoingOn {
     start: CameraStart,
@@ -52,18 +51,18 @@ pub struct GoingOn {
 }
 
 impl GoingOn {
-    /// Whether the estimate was made from nothing.
+    /// Whether the estimate was made from scratch.
     pub fn was_made_anew(&self) -> bool {
         self.anew
     }
 
-    /// Whether the lens model has to be chosen anew: the views have doubled since.
+    /// Whether the lens model has to be chosen again: the number of views has doubled since.
     fn is_outgrown_by(&self, views: usize) -> bool {
         views >= 2 * self.chosen_from_views
     }
 
-    /// The estimate of `problem` from here, its first views being those of this one; `None` where
-    /// it cannot be made or is suspect.
+    /// Continues to the estimate of `problem`, whose first views must be those of this one; `None`
+    /// if that fails or is suspect.
     fn go_on(&self, problem: &CameraProblem) -> Option<EstimateSoFar> {
         let lens = LensChoice::Model(self.start.lens.model());
         let options =
@@ -73,8 +72,8 @@ impl GoingOn {
         self.is_continued_by(&checked.0).then(|| EstimateSoFar::of(&checked, made))
     }
 
-    /// Whether `next` is what a few more views make of this estimate. A view that is rejected,
-    /// greater residuals or a jump of the lens may each be the fault of where it came from.
+    /// Whether `next` is plausible as this estimate with a few more views. A newly rejected view,
+    /// greater residuals or a jump of the lens may each be an effect of the start.
     fn is_continued_by(&self, next: &CameraEstimate) -> bool {
         let known = self.rejected.iter().copied().chain(std::iter::repeat(false));
         let newly_rejected =
@@ -87,7 +86,7 @@ impl GoingOn {
     }
 }
 
-/// How an estimate came about.
+/// How an estimate was made.
 #[derive(Clone, Copy)]
 struct Made {
     anew: bool,
@@ -124,10 +123,10 @@ impl EstimateSoFar {
     }
 }
 
-/// Estimates a camera from a session's views so far. `earlier` is what the newest estimate of the
-/// same session left, made of the first of these views in the same order. A lens model that is to
-/// be chosen is chosen anew each time the views have doubled: comparing all of them costs ten times
-/// a fit.
+/// Estimates a camera from a session's views so far. `earlier` is from the newest estimate of the
+/// same session, made of the first of these views in the same order. If the lens model is to be
+/// chosen, it is chosen again each time the views have doubled: comparing all models takes ten
+/// times as long as a fit.
 ///
 /// # Errors
 /// As [`crate::estimation::camera::calibrate_camera`].
@@ -148,7 +147,7 @@ pub fn estimate_so_far(
             calibrate_and_check(problem, &CameraOptions { lens, ..CameraOptions::default() })?;
         Ok(EstimateSoFar::of(&checked, Made { anew: true, chosen_from_views }))
     };
-    // Where only the fit is made anew, the lens model stays the one of the earlier choice.
+    // If only the fit is made anew, the lens model stays that of the earlier choice.
     let of_chosen = earlier.and_then(|kept| {
         anew(LensChoice::Model(kept.start.lens.model()), kept.chosen_from_views).ok()
     });

@@ -1,13 +1,13 @@
-//! Views that show the board in one place.
+//! Detects views that show the board at the same place.
 
 use crate::estimation::problem::{BoardView, Correspondence};
 
-/// Views whose corners are all nearer to each other than this, in the standard deviations of their
-/// differences, are one view: of a few hundred differences by chance none is larger.
+/// Two views are the same if all their corners are closer to each other than this, in standard
+/// deviations of their difference: by chance, none of a few hundred differences is larger.
 const SAME_STDS: f64 = 5.0;
 
-/// Whether two images show the board in one place: copies of an image, or a camera and a board that
-/// stood still. Model errors are alike in both, so that they are no two independent views.
+/// Whether two images show the board at the same place: copies of an image, or a camera and a board
+/// that stood still. Their model errors are the same, so they are not two independent views.
 pub fn is_same(one: &BoardView, other: &BoardView) -> bool {
     let is_near = |(a, b): (&Correspondence, &Correspondence)| {
         let limit_px = SAME_STDS * a.std_px.hypot(b.std_px);

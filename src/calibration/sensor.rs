@@ -1,5 +1,5 @@
-//! Which sensor of an instrument: sensors are data, so that one camera, a depth camera and a rig
-//! of either are the same thing with more or fewer of them.
+//! Identifies a sensor of an instrument. Sensors are data, so that one camera, a depth camera and a
+//! rig of either differ only in their number.
 
 use crate::imaging::frame::SensorKind;
 

@@ -1,4 +1,4 @@
-//! What is known of a session from outside: the record that is stored, served and resumed from.
+//! The public state of a session: the record that is stored, served and resumed from.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -21,13 +21,13 @@ pub struct SessionRequest {
     pub target: CalibrationTarget,
     /// Which lens model to fit.
     pub lens: LensChoice,
-    /// When it is enough; `None` runs until it is stopped.
+    /// When there are enough views; `None` runs until it is stopped.
     pub finish: Option<Finish>,
-    /// Lenses of a rig that are known, and held as they are.
+    /// Lenses of a rig that are known and held fixed.
     pub given: Vec<HeldLens>,
 }
 
-/// A lens that is held as it is.
+/// A lens that is held fixed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct HeldLens {
     /// Whose.
@@ -36,21 +36,21 @@ pub struct HeldLens {
     pub lens: Lens,
 }
 
-/// When a session has enough and solves by itself: as soon as every goal that is given is reached,
-/// or the time is up.
+/// When a session has enough views and solves by itself: as soon as every given goal is reached, or
+/// the time is up.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Finish {
-    /// The median over the image of the predicted 1-σ reprojection uncertainty that is good enough,
-    /// in pixels.
+    /// The goal for the median over the image of the predicted 1-σ reprojection uncertainty, in
+    /// pixels.
     pub uncertainty_px: Option<f64>,
     /// The least number of views.
     pub min_views: Option<u32>,
-    /// The longest it may collect, in seconds of the frames' time; what has been gathered by then
-    /// is solved.
+    /// The longest time to collect, in seconds of the frames' time; then the gathered views are
+    /// solved.
     pub max_seconds: Option<f64>,
 }
 
-/// Where a session stands.
+/// The state of a session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SessionState {
     /// Takes frames and keeps views.
@@ -61,8 +61,7 @@ pub enum SessionState {
     Finished,
     /// Has none, and says why; its views stay.
     Failed,
-    /// Was given up, by request or because a camera's source or device is another one now; its
-    /// views stay.
+    /// Given up, on request or because a camera's source or device has changed; its views stay.
     Aborted,
 }
 
@@ -87,13 +86,13 @@ impl SessionState {
         Self::ALL.into_iter().find(|state| state.name() == name)
     }
 
-    /// Whether nothing will change it any more.
+    /// Whether it is final.
     pub fn is_over(self) -> bool {
         matches!(self, Self::Finished | Self::Failed | Self::Aborted)
     }
 }
 
-/// What the views so far amount to.
+/// The estimate from the views so far.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RunningEstimate {
     /// The lens, as far as it is known.
@@ -111,7 +110,7 @@ pub struct RunningEstimate {
 /// The grid that a running estimate's uncertainty is shown on, columns.
 pub const SHOWN_COLUMNS: u32 = 25;
 
-/// What one camera of a rig contributes to a session.
+/// One camera's contribution to a session.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SessionMember {
     /// The camera's name.
@@ -122,7 +121,7 @@ pub struct SessionMember {
     pub boards_seen: u64,
     /// Views kept.
     pub views_kept: u32,
-    /// Views kept of frame sets in which another camera's was kept too.
+    /// Views kept in frame sets of which another camera's view was kept too.
     pub views_shared: u32,
     /// Why the other frames were not kept.
     pub rejected: Rejections,
@@ -150,7 +149,7 @@ impl SessionMember {
         }
     }
 
-    /// The estimate of the camera that is known least; `None` while one of them has none.
+    /// The estimate of the camera with the greatest uncertainty; `None` while a camera has none.
     pub(super) fn worst_estimate(members: &[Self]) -> Option<RunningEstimate> {
         let estimates: Option<Vec<&RunningEstimate>> =
             members.iter().map(|member| member.estimate.as_ref()).collect();
@@ -166,18 +165,18 @@ pub struct SessionRecord {
     pub id: String,
     /// The camera's name, or the rig's.
     pub camera: String,
-    /// What each camera of a rig contributes, in the rig's order; empty for one camera. What the
-    /// record itself says of frames and boards is then the sum, of coverage and estimate the worst
-    /// camera's, and of views the frame sets kept.
+    /// The contribution of each camera of a rig, in the rig's order; empty for one camera. The
+    /// record's own counts of frames and boards are then sums, its coverage and estimate are those
+    /// of the worst camera, and its views are the frame sets kept.
     pub members: Vec<SessionMember>,
-    /// What the images of each camera come from, by its name, in words: views of another source are
-    /// of another lens.
+    /// The source of each camera's images, by its name, in words: views from another source have
+    /// another lens.
     pub sources: BTreeMap<String, String>,
-    /// Which device each camera is, by its name: model and serial number, where it says.
+    /// The device of each camera, by its name: model and serial number, as far as it states them.
     pub devices: BTreeMap<String, String>,
-    /// What was asked for.
+    /// The request.
     pub request: SessionRequest,
-    /// Where it stands.
+    /// Its state.
     pub state: SessionState,
     /// Why it failed, or what it waits for.
     pub reason: Option<String>,
@@ -206,7 +205,7 @@ pub struct SessionRecord {
 }
 
 impl SessionRequest {
-    /// The lens of a rig's camera that is held.
+    /// The lens of a rig's camera, if it is held fixed.
     pub fn held(&self, camera: &str) -> Option<Lens> {
         let color = SensorId::of(camera, SensorKind::Color);
         self.given.iter().find(|held| held.sensor == color).map(|held| held.lens)
@@ -239,20 +238,21 @@ impl SessionRecord {
         }
     }
 
-    /// Whether `name` is its camera or its rig, or a camera that is in it with others.
+    /// Whether `name` is its camera or its rig, or one of the rig's cameras.
     pub fn is_of(&self, name: &str) -> bool {
         self.camera == name || self.members.iter().any(|member| member.camera == name)
     }
 
-    /// Takes what a camera's images come from now, where it is not known yet.
+    /// Records the source of a camera's images, if it is not known yet.
     ///
     /// # Errors
-    /// Why it cannot go on with images of `source`, in words: those before came from another one.
+    /// Why it cannot continue with images of `source`, in words: earlier images have another
+    /// source.
     pub fn take_source(&mut self, camera: &str, source: &str) -> Result<(), String> {
         take("source", &mut self.sources, camera, source, |was, is| was != is)
     }
 
-    /// Takes which device a camera is now, where it is not known yet.
+    /// Records the device of a camera, if it is not known yet.
     ///
     /// # Errors
     /// As [`Self::take_source`].
@@ -260,7 +260,7 @@ impl SessionRecord {
         take("device", &mut self.devices, camera, device, is_another_device)
     }
 
-    /// What it says of the camera, of an instrument that is one.
+    /// The record as the contribution of its only camera.
     pub(super) fn to_member(&self) -> SessionMember {
         SessionMember {
             frames_seen: self.frames_seen,
@@ -274,7 +274,7 @@ impl SessionRecord {
         }
     }
 
-    /// Takes what is known of the camera, of an instrument that is one.
+    /// Updates the record from the contribution of its only camera.
     pub(super) fn take_member(&mut self, member: &SessionMember) {
         self.frames_seen = member.frames_seen;
         self.boards_seen = member.boards_seen;
@@ -288,8 +288,8 @@ impl SessionRecord {
     }
 }
 
-/// Takes what a camera's images come `from`, where it is not known yet; why not, where it is
-/// another one.
+/// Records where a camera's images come `from`, if it is not known yet; an error if that has
+/// changed.
 fn take(
     what: &str,
     known: &mut BTreeMap<String, String>,
@@ -306,8 +306,8 @@ fn take(
     ))
 }
 
-/// Whether two devices, each in words (its model, then its serial number as far as it says them),
-/// are not the same. One that does not say its serial number this time may be.
+/// Whether two devices, each in words (its model, then its serial number if known), are different.
+/// A device that does not state its serial number this time may be the same.
 pub(super) fn is_another_device(was: &str, is: &str) -> bool {
     let only_says_more = |more: &str, less: &str| {
         more.strip_prefix(less).is_some_and(|rest| rest.is_empty() || rest.starts_with(", serial "))

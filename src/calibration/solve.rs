@@ -1,4 +1,4 @@
-//! The solve of one camera: an estimate with its checks and its verdict, as documents show it.
+//! The solve of one camera: an estimate with its checks and its verdict.
 
 use nalgebra::DMatrix;
 
@@ -29,13 +29,13 @@ use crate::imaging::frame::SensorKind;
 /// A solved camera.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SolvedCamera {
-    /// What the calibration says of the sensor.
+    /// The sensor's part of the calibration.
     pub sensor: ImageCalibration,
-    /// How it does beyond the views it was fitted to.
+    /// How it performs on views that it was not fitted to.
     pub checks: Checks,
     /// How far to trust it.
     pub verdict: Verdict,
-    /// The estimate itself: residuals, covariances, and what to start from when views are added.
+    /// The estimate itself: residuals, covariances, and a start for estimates with more views.
     pub estimate: CameraEstimate,
     basis: VerdictBasis,
 }
@@ -67,7 +67,7 @@ impl VerdictBasis {
 }
 
 impl SolvedCamera {
-    /// Takes what two halves of the views say from a solve with other sensors.
+    /// Takes the difference between two halves of the views from a solve with other sensors.
     pub(super) fn take_halves(&mut self, lens: LensDifference, held_out_rms_px: Option<f64>) {
         let check = &mut self.basis.model_check;
         (check.split_half_ratio, check.focal_change) = (lens.ratio, Some(lens.focal_change));
@@ -75,21 +75,21 @@ impl SolvedCamera {
         (self.checks.split_half_ratio, self.checks.held_out_rms_px) = (lens.ratio, held_out_rms_px);
     }
 
-    /// The verdict with the uncertainty of `sensor`, which a solve with other sensors made smaller.
+    /// The verdict with the uncertainty of `sensor`, which a joint solve has reduced.
     pub(super) fn verdict_of(&self, sensor: &ImageCalibration) -> Verdict {
         let uncertainty = sensor_uncertainty(sensor, UNCERTAINTY_COLUMNS, Distance::Infinity);
         let shutter_in_model = sensor.rolling_shutter.is_some();
         self.basis.verdict(&self.estimate, uncertainty.as_ref(), shutter_in_model)
     }
 
-    /// The calibration that it amounts to, of an instrument that is this one sensor.
+    /// The calibration of an instrument that is this one sensor.
     pub fn into_calibration(self, target: Option<Target>) -> Calibration {
         let color = CalibratedSensor::image(SensorId::own(SensorKind::Color), self.sensor);
         Calibration::unnamed(target, vec![color], (self.checks, self.verdict))
     }
 }
 
-/// Columns of the grid that uncertainty is summed up over, wherever it is stated.
+/// Columns of the grid over which uncertainty is summarized, everywhere.
 pub const UNCERTAINTY_COLUMNS: u32 = 12;
 
 /// Calibrates a camera from `problem`, checks the result, and says how far to trust it.
@@ -161,7 +161,7 @@ pub fn uncertainty_map(
     projection_uncertainty(&estimate.lens, &estimate.lens_covariance, grid, distance)
 }
 
-/// As [`uncertainty_map`], of a finished calibration; `None` where it holds no covariance.
+/// As [`uncertainty_map`], for a finished calibration; `None` if it has no covariance.
 pub fn sensor_uncertainty(
     sensor: &ImageCalibration,
     columns: u32,
@@ -181,8 +181,9 @@ fn summary(estimate: &CameraEstimate) -> ProjectionUncertainty {
     uncertainty_over(&estimate.lens, &estimate.lens_covariance, estimate.image_size)
 }
 
-/// The predicted 1-σ projection uncertainty at infinity, summed up over images of `size`, of a lens
-/// with the covariance of its parameters; without bound where the lens sees nothing of them.
+/// The predicted 1-σ projection uncertainty at infinity, summarized over images of `size`, for a
+/// lens with this covariance of its parameters; infinite where no pixel is in the lens's valid
+/// region.
 pub fn uncertainty_over(
     lens: &Lens,
     covariance: &DMatrix<f64>,
@@ -242,7 +243,7 @@ fn with_uncertainty(
     }
 }
 
-/// Where in the image the corners in use were seen.
+/// The image coverage of the corners in use.
 fn corner_coverage(problem: &CameraProblem, estimate: &CameraEstimate) -> Coverage {
     let mut cells = Coverage::empty(problem.image_size).cells().to_vec();
     let grid = Coverage::empty(problem.image_size);

@@ -1,4 +1,4 @@
-//! How an instrument is to be solved, and why it could not be.
+//! How to solve an instrument, and why that may fail.
 
 use crate::calibration::solve_rgbd::RgbdError;
 use crate::calibration::solve_rig::RigError;
@@ -8,11 +8,11 @@ use crate::estimation::error::EstimationError;
 /// How to solve.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct SolveOptions {
-    /// The lens and what else is estimated of each image sensor. Default: all found out.
+    /// The lens and what else is estimated for each image sensor. Default: everything.
     pub camera: CameraOptions,
-    /// What becomes of a camera whose depth cannot be calibrated. Default: an error.
+    /// What to do with a camera whose depth cannot be calibrated. Default: an error.
     pub unsolved_depth: UnsolvedDepth,
-    /// By which method the views of a single sensor are solved. Default: bundle adjustment.
+    /// The method for the views of a single sensor. Default: bundle adjustment.
     pub method: SolveMethod,
 }
 
@@ -26,10 +26,10 @@ pub enum SolveMethod {
     LinearTransform,
 }
 
-/// What becomes of a camera whose depth cannot be calibrated.
+/// What to do with a camera whose depth cannot be calibrated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum UnsolvedDepth {
-    /// An error: depth is what was asked for.
+    /// An error, for callers that asked for depth.
     #[default]
     Refused,
     /// It is calibrated without depth, and the verdict says why.
@@ -42,19 +42,19 @@ pub enum InstrumentError {
     /// There is no camera at all.
     #[error("no camera was observed: give the views of one at least")]
     NoCamera,
-    /// Several cameras or depth, and no board that they saw.
+    /// Several cameras or depth, but no board.
     #[error("several sensors are solved by the board that they all see: give its size")]
     NoBoard,
-    /// The views of the only camera leave it open.
+    /// The only camera's views do not determine its lens.
     #[error("{0}")]
     Views(#[from] EstimationError),
-    /// The only camera's sensors do not go together.
+    /// The only camera's sensors are inconsistent.
     #[error("{0}")]
     Sensors(#[from] RgbdError),
-    /// Several cameras could not be placed.
+    /// The poses of several cameras could not be determined.
     #[error("{0}")]
     Rig(#[from] RigError),
-    /// The sensors of one of several cameras do not go together.
+    /// The sensors of one of several cameras are inconsistent.
     #[error("camera `{camera}`: {source}")]
     Camera {
         /// Its name.

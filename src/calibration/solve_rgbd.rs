@@ -25,30 +25,29 @@ use crate::imaging::depth_image::DepthImage;
 pub struct SolvedRgbd {
     /// Color by itself, its verdict and views; its lens is the joint estimate's.
     pub color: SolvedCamera,
-    /// Infrared by itself, where it was seen.
+    /// Infrared by itself, if it saw the board.
     pub infrared: Option<SolvedCamera>,
-    /// What the joint estimate was made of.
+    /// The joint problem.
     pub problem: RgbdProblem,
-    /// Everything together.
+    /// The joint estimate.
     pub joint: RgbdEstimate,
-    /// How far two halves of its views differ, where there are enough, in what is reported of it:
-    /// color alone where the factory has depth, and no infrared image was seen.
+    /// The difference between two halves of its views, if there are enough, in the parts that are
+    /// reported: color only, if the factory's depth is kept and there are no infrared images.
     pub halves: Option<RgbdDifference>,
-    /// The comparison with the factory's statement of depth, where there is one and views with
-    /// both.
+    /// The comparison with the factory's depth calibration, if there is one, and views with both.
     pub factory: Option<FactoryCheck>,
-    /// Which frame set each view of the joint estimate is.
+    /// The frame set of each view of the joint estimate.
     pub frame_set_of_view: Vec<usize>,
-    /// The corners in infrared of each view of the joint estimate, labeled as in color, where the
-    /// board is stated to have them.
+    /// For each view of the joint estimate, its corners in infrared, labeled as in color, at the
+    /// stated positions on the board.
     pub stated_infrared: Vec<Vec<Correspondence>>,
     /// Views whose depth could not be used.
     pub without_depth: Vec<ViewWithoutDepth>,
 }
 
 impl SolvedRgbd {
-    /// The board in the infrared images that were taken together with color's, numbered as the
-    /// frame sets: its corners named as in color, and where they were when color was taken.
+    /// The board in the infrared images that were taken together with color, numbered by frame set,
+    /// with labels as in color, and at the pose that it had when color was taken.
     pub fn infrared_with_color(&self) -> Vec<FrameSetView> {
         let joint = &self.joint;
         let together = self.problem.views.iter().zip(&self.frame_set_of_view).enumerate().filter(
@@ -67,20 +66,20 @@ impl SolvedRgbd {
     }
 }
 
-/// The board's surface reaches this many squares past its outer inner corners, and is measured this
+/// The board's surface extends this many squares beyond its outermost corners, and is measured that
 /// far.
 const MARGIN_SQUARES: f64 = 0.8;
 
-/// Calibrates color, infrared where it is seen, and depth jointly. The board's shape is measured by
-/// color, whose corners know it best, and the other sensors see the board as that has it.
+/// Calibrates color, infrared if it saw the board, and depth jointly. Color, with the most accurate
+/// corners, measures the board's shape; the other sensors use it.
 ///
 /// # Errors
 /// [`RgbdError`]: a sensor that cannot be calibrated by itself, or too few views with depth.
 pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRgbd, RgbdError> {
     check_measured(input)?;
     let of_sensor = |sensor| move |source| RgbdError::Sensor { sensor, source };
-    // The joint problem takes all rows as read at once, and weights by what each sensor leaves.
-    // Of a board that stands still each depth image is another measurement.
+    // The joint problem takes all rows as read at once, and weights sensors by their residuals.
+    // While a board stands still, each depth image is another measurement.
     let options =
         &CameraOptions { shutter: Shutter::Global, copies_count: true, ..options.clone() };
     let color = solve_views(&problem(input, input.color_size, |c| &c.color), options)
@@ -92,7 +91,7 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
         reasons: String::new(),
     })?;
     let infrared_alone = |input: &RgbdInput| {
-        // What is given is color's, and what is measured of the board is in the corners already.
+        // Given parameters are color's, and the corners already are on the measured board.
         let options = CameraOptions { given: Vec::new(), measured_board: None, ..options.clone() };
         solve_views(&problem(input, depth_size, |c| &c.infrared), &options.as_stated())
             .map_err(of_sensor("infrared"))
@@ -142,8 +141,8 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
     })
 }
 
-/// The board's surface in every depth image, found by the lens and pose of depth that it gives: where
-/// no infrared image has these, it is found, fitted and found again.
+/// Measures the board's surface in every depth image. The outline follows from the lens and pose of
+/// depth; without infrared these are fitted to the surface found, and it is measured again.
 fn measured_where_depth_sees_it(
     input: &RgbdInput,
     guess: &mut Guess,
@@ -174,7 +173,7 @@ fn of_joint(error: EstimationError) -> RgbdError {
     }
 }
 
-/// The same with each corner where `board` was measured to have it.
+/// The same with each corner at its measured position on `board`.
 fn placed_on(input: &RgbdInput, board: &MeasuredBoard) -> RgbdInput {
     let mut placed = input.clone();
     for frame_set in &mut placed.frame_sets {
@@ -185,8 +184,7 @@ fn placed_on(input: &RgbdInput, board: &MeasuredBoard) -> RgbdInput {
     placed
 }
 
-/// The same with infrared's corners labeled as color's are, for a board that is symmetric under a
-/// rotation.
+/// The same with infrared's corners labeled as color's, for a board with rotational symmetry.
 fn labeled_as_in_color(
     input: &RgbdInput,
     color: &SolvedCamera,
@@ -203,13 +201,14 @@ fn labeled_as_in_color(
         [seen(poses(input, color, |c| &c.color)), seen(poses(input, infrared, |c| &c.infrared))];
     let chosen = consistent_labels(&sensors, &symmetries);
     let mut labeled = input.clone();
-    // Between views the board's motion is followed by labels that nothing has made consistent.
+    // Frame sets that are no views show the board's motion, but their labels are not made
+    // consistent.
     labeled
         .frame_sets
         .iter_mut()
         .filter(|frame_set| !frame_set.is_view)
         .for_each(|frame_set| frame_set.infrared.clear());
-    // Color comes first, and keeps its labels.
+    // Color comes first and keeps its labels.
     for (seen, symmetry) in sensors[1].iter().zip(&chosen[1]) {
         let board_from_labels = symmetries[*symmetry].inverse();
         let corners = &mut labeled.frame_sets[seen.frame_set].infrared;

@@ -21,17 +21,18 @@ use crate::geometry::target::Target;
 pub struct SolvedRig {
     /// The sensors that could be calibrated, in the rig's order.
     pub sensors: Vec<(SensorId, ImageCalibration)>,
-    /// `a_from_b` of each sensor b that shares views, directly or through others, with an earlier
-    /// sensor a; a is the first of those that it is connected with.
+    /// `a_from_b` for each sensor b that is connected by shared views, directly or through others,
+    /// with an earlier sensor a; a is the first sensor of the connected group.
     pub extrinsics: Vec<Extrinsics>,
-    /// The worst of each figure over the sensors, of halves also over where they are.
+    /// The worst of each figure over the sensors; that of the halves also includes the sensors'
+    /// poses.
     pub checks: Checks,
     /// How far to trust it.
     pub verdict: Verdict,
 }
 
 impl SolvedRig {
-    /// The calibration that it amounts to.
+    /// The calibration.
     pub fn into_calibration(self, target: Target) -> Calibration {
         let sensors = self.sensors.into_iter();
         let sensors = sensors.map(|(id, sensor)| CalibratedSensor::image(id, sensor)).collect();
@@ -77,7 +78,7 @@ pub enum RigError {
         /// `earlier` or `later`.
         when: &'static str,
     },
-    /// All together could not be.
+    /// The joint solve failed.
     #[error("the cameras together: {0}")]
     Joint(EstimationError),
 }
@@ -85,15 +86,15 @@ pub enum RigError {
 /// Calibrates each sensor by itself, then those that share views jointly, lenses and poses.
 ///
 /// # Errors
-/// [`RigError`]. A sensor that cannot be calibrated, or shares no view with any other, costs the
-/// others nothing: the verdict names it.
+/// [`RigError`]. A sensor that cannot be calibrated, or shares no view with any other, does not
+/// affect the others: the verdict names it.
 pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig, RigError> {
     let (mut alone, mut failed) = (Vec::new(), Vec::new());
     for sensor in &input.sensors {
         let views = sensor.views.iter().map(|seen| seen.view.clone()).collect();
         let held = |lens: Lens| CameraOptions::holding(&lens, &options.interrupt);
         let options = sensor.given.map_or_else(|| options.clone(), held);
-        // Of a board that stands still another camera may see what it did not before.
+        // While a board stands still, another camera may see it where it did not before.
         let options = CameraOptions { copies_count: true, ..options };
         match solve_views(&CameraProblem { image_size: sensor.image_size, views }, &options) {
             Ok(solved) => alone.push(Alone { input: sensor, solved }),
@@ -144,8 +145,8 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
     Ok(SolvedRig { sensors: sensors.collect(), extrinsics, checks, verdict })
 }
 
-/// Solves those of a group together that agree with each other, which are named with it; `findings`
-/// name the others.
+/// Solves the consistent sensors of a group jointly and returns their indices; `findings` name the
+/// others.
 fn jointly(
     input: &RigInput,
     (alone, group): (&[Alone<'_>], &[usize]),
@@ -176,12 +177,12 @@ fn jointly(
     }
 }
 
-/// Whether a group has another camera than its first, or another sensor of the only one.
+/// Whether a group has more than one camera, or more than one sensor of the only camera.
 fn leads_to_another(group: &[usize], alone: &[Alone<'_>]) -> bool {
     alone[group[0]].is_other_than(&alone[group[group.len() - 1]])
 }
 
-/// Two sensors that could be calibrated, of two cameras where there are as many.
+/// Checks that two sensors could be calibrated, of different cameras if there are several cameras.
 fn check_enough(
     input: &RigInput,
     alone: &[Alone<'_>],
@@ -201,7 +202,7 @@ fn check_enough(
     Err(RigError::TooFewCameras { solved: alone.len(), all: input.sensors.len(), camera, source })
 }
 
-/// That nothing places the camera of this sensor.
+/// The finding that nothing determines this camera's pose.
 fn open_place(isolated: &Alone<'_>) -> String {
     let name = &isolated.input.name;
     let reason =
@@ -222,8 +223,8 @@ fn shifted_list(alone: &[Alone<'_>]) -> Option<RigError> {
     })
 }
 
-/// Which cameras share frame sets, directly or through others; each group in order, and the groups
-/// by their first camera.
+/// Groups of cameras that share frame sets, directly or through others; each group in order, and
+/// the groups by their first camera.
 fn connected(alone: &[Alone<'_>]) -> Vec<Vec<usize>> {
     let frame_sets =
         |one: &Alone<'_>| one.poses().into_iter().map(|own| own.frame_set).collect::<Vec<_>>();
@@ -258,8 +259,8 @@ fn checks(alone: &[Alone<'_>], pose_ratio: Option<f64>) -> Checks {
     }
 }
 
-/// What holds of each camera by itself, with the uncertainty that it has in `sensors` together, and
-/// of all.
+/// The verdict of each camera by itself, with its uncertainty in the joint solve (`sensors`), and
+/// of all of them.
 fn verdict(
     alone: &[Alone<'_>],
     sensors: &[ImageCalibration],

@@ -1,5 +1,5 @@
-//! Rigs against seeded truth: cameras placed through others, boards labeled from either end,
-//! cameras that share nothing.
+//! Tests of rigs with seeded ground truth: cameras connected only through others, boards labeled
+//! from either end, cameras that share no views.
 
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
@@ -34,8 +34,8 @@ fn camera_from_first() -> [Pose; 3] {
     ]
 }
 
-/// What three cameras see of a board that each may take for rotated; `sees` is whether a camera
-/// sees the board in a frame set.
+/// The observations of three cameras of a board that each may detect rotated by half a turn; `sees`
+/// is whether a camera sees the board in a frame set.
 fn input(board: Chessboard, sees: impl Fn(usize, usize) -> bool) -> RigInput {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let middle =
@@ -174,8 +174,8 @@ fn a_camera_whose_frames_are_of_other_moments_costs_the_others_nothing() {
     assert!(reason.contains("in no frame set: give it the frames"), "{reason}");
 }
 
-/// Without noise of its own, as a recording of a still image: the left camera sees to the bit what it
-/// saw before, but only then the right one sees the board too.
+/// Without noise, as in a recording of a still image: the left camera sees exactly what it saw
+/// before, but only now does the right one see the board too.
 #[test]
 fn a_view_that_equals_an_earlier_one_is_shared_all_the_same() {
     let board = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.025).unwrap();

@@ -1,5 +1,5 @@
-//! What a device states of its own sensors, as a calibration: so that it can be written in every
-//! format, as it is stated.
+//! What a device states of its own sensors, as a calibration, so that it can be exported in every
+//! format.
 
 use crate::calibration::depth_calibration::{DepthCalibration, DepthNoise};
 use crate::calibration::result::{
@@ -14,8 +14,8 @@ use crate::imaging::depth_encoding::DepthEncoding;
 use crate::imaging::factory::{FactoryCalibration, FactorySensor};
 use crate::imaging::frame::SensorKind;
 
-/// Every number as `factory` has it; `None` where it states no lens. Deviations are 0 and
-/// uncertainties infinite: nothing was measured. `created_at_ns` is when it was asked for.
+/// Every number as stated in `factory`; `None` if it states no lens. Standard deviations are 0 and
+/// uncertainties infinite, since nothing was measured. `created_at_ns` is the time of the request.
 pub fn stated_calibration(
     factory: &FactoryCalibration,
     camera: &str,
@@ -53,7 +53,7 @@ pub fn stated_calibration(
     })
 }
 
-/// What is not stated of depth readings, in words.
+/// What the device does not state about depth readings, in words.
 fn assumed_reading(stated: Option<DepthEncoding>) -> Option<String> {
     match stated {
         None => Some(
@@ -67,8 +67,8 @@ fn assumed_reading(stated: Option<DepthEncoding>) -> Option<String> {
     }
 }
 
-/// The sensor as stated; `None` without a lens, or for disparity of unknown meaning. Depth whose
-/// readings are not stated is in millimeters, as in sessions.
+/// The sensor as stated; `None` without a lens, or for disparity of unknown meaning. If the meaning
+/// of depth readings is not stated, millimeters are assumed, as in sessions.
 fn sensor(factory: &FactoryCalibration, kind: SensorKind) -> Option<CalibratedSensor> {
     let stated = factory.sensor(kind)?;
     let lens = stated.lens?;

@@ -1,4 +1,4 @@
-//! The two cameras of a calibration that see in stereo.
+//! Two cameras of a calibration as a stereo pair.
 
 use crate::calibration::result::Calibration;
 use crate::calibration::sensor::SensorId;
@@ -6,23 +6,23 @@ use crate::geometry::pose::Pose;
 use crate::geometry::rectification::{RectificationError, StereoCamera, StereoRectification};
 use crate::imaging::frame::SensorKind;
 
-/// Two image sensors whose places are known against each other.
+/// Two image sensors with a known relative pose.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StereoPair {
     /// Which.
     pub sensors: [SensorId; 2],
-    /// What documents call them.
+    /// Their names in documents.
     pub names: [String; 2],
     /// Their lenses and image sizes.
     pub cameras: [StereoCamera; 2],
-    /// Where the first is in the frame of the second.
+    /// The pose of the first in the frame of the second.
     pub second_from_first: Pose,
 }
 
-/// A calibration of which no two cameras can be taken as a stereo pair.
+/// Why a calibration gives no stereo pair.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum StereoPairError {
-    /// It is not clear which.
+    /// It is not clear which two are meant.
     #[error("stereo needs two cameras, and this calibration has {known}{}", if *several { ": say which two, as FIRST,SECOND" } else { "" })]
     NotTwo {
         /// The calibration's image sensors.
@@ -38,7 +38,7 @@ pub enum StereoPairError {
         /// The calibration's image sensors.
         known: String,
     },
-    /// Nobody has seen where they are.
+    /// Their relative pose is not known.
     #[error("where `{second}` is against `{first}` is not in this calibration")]
     NoPose {
         /// The first sensor.
@@ -46,14 +46,14 @@ pub enum StereoPairError {
         /// The second.
         second: String,
     },
-    /// They are no pair that can be rectified.
+    /// The pair cannot be rectified.
     #[error(transparent)]
     Rectification(#[from] RectificationError),
 }
 
 impl StereoPair {
-    /// The pair that is `asked` for by the names of two sensors or cameras. Else the two cameras of
-    /// a rig of two, or the two infrared sensors of a camera.
+    /// The pair that is `asked` for by the names of two sensors or cameras; otherwise the two
+    /// cameras of a rig of two, or the two infrared sensors of a camera.
     ///
     /// # Errors
     /// [`StereoPairError`].
@@ -96,8 +96,8 @@ impl StereoPair {
         StereoRectification::new(&self.cameras, &self.second_from_first, alpha)
     }
 
-    /// The same with the left (or the upper) camera first, as other programs expect it; with its
-    /// rectification.
+    /// The same with the left (or the upper) camera first, as other programs expect it, together
+    /// with its rectification.
     ///
     /// # Errors
     /// [`RectificationError`].

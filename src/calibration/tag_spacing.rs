@@ -1,12 +1,12 @@
-//! Whether the gaps between the tags of a grid are as wide as stated, by its measured corners. A
-//! wrong spacing is like a board whose columns are moved in pairs: as an uneven board it is
-//! measured well, but all distances are off by what it adds to a tag's pitch.
+//! Checks the stated spacing of a tag grid against its measured corners. A wrong spacing resembles
+//! a board whose columns are displaced in pairs: it is measured well as an uneven board, but all
+//! distances have the relative error of a tag's pitch.
 
 use nalgebra::{Matrix4, Vector4};
 
 use crate::estimation::measured_board::MeasuredBoard;
 
-/// A gap in parts of a tag's side, as it was stated and as it is.
+/// A gap as a fraction of a tag's side, stated and measured.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct TagSpacing {
     pub(super) stated: f64,
@@ -15,19 +15,19 @@ pub(super) struct TagSpacing {
     pub(super) std: f64,
 }
 
-/// Corners in one row of the grid, as parts of its extent.
+/// Corners within this fraction of the grid's extent are on one line.
 const SAME_PLACE: f64 = 1e-6;
 
-/// A spacing that differs by less is within what a ruler says of it: half a millimeter on tags of
-/// 10 cm. Chosen, not swept.
+/// Smaller differences are within the accuracy of a ruler: half a millimeter on tags of 10 cm.
+/// Chosen, not swept.
 const LEAST_DIFFERENCE: f64 = 0.005;
 
-/// In standard deviations.
+/// Differences within this many standard deviations are chance.
 const BEYOND_CHANCE: f64 = 4.0;
 
 impl TagSpacing {
-    /// Of a board whose stated corners are those of a grid of tags, each in its place; `None` for
-    /// others, and where the spacing is as stated.
+    /// For a board whose stated corners form a grid of tags; `None` for others, and if the spacing
+    /// is as stated.
     pub(super) fn off_stated(shape: &MeasuredBoard) -> Option<Self> {
         let along = [0, 1].map(|axis| spacing_along(shape, axis));
         let [x, y] = [along[0]?, along[1]?];
@@ -40,8 +40,8 @@ impl TagSpacing {
     }
 }
 
-/// The spacing along an axis of the board: by least squares of each corner's place over the number
-/// of its tag, which side of the tag it is at, and its place along the other axis.
+/// The spacing along an axis of the board, by least squares of each corner's position against its
+/// tag's number, the side of the tag, and its position along the other axis.
 fn spacing_along(shape: &MeasuredBoard, axis: usize) -> Option<TagSpacing> {
     let places: Vec<f64> = shape.points.iter().map(|point| point[axis]).collect();
     let mut lines = places.clone();

@@ -1,4 +1,4 @@
-//! What a calibration rests on: a target of known shape, or none.
+//! The basis of a calibration: a target of known shape, or none.
 
 use crate::geometry::board::Chessboard;
 use crate::geometry::target::Target;

@@ -14,31 +14,34 @@ use crate::estimation::other_minimum::OtherMinimum;
 use crate::estimation::uncertainty::UncertaintyMap;
 use crate::geometry::lens::Lens;
 
-/// The split-half ratio of a good calibration and of a usable one: about 1 where the model is
+/// The split-half ratio up to which a calibration is good, and usable: about 1 if the model is
 /// right, and above 2 once in a hundred such sets.
 pub(super) const SPLIT_HALF: [f64; 2] = [2.5, 6.0];
-/// The correlation of neighboring corners' residuals; blur and pixels alone make some.
+/// The same limits for the correlation of neighboring corners' residuals; blur and pixels alone
+/// cause some.
 const CORRELATION: [f64; 2] = [0.5, 0.8];
-/// How many times larger the uncertainty is than if each corner erred by itself.
+/// The same limits for how many times greater the uncertainty is than if corners had independent
+/// errors.
 const SHARED: [f64; 2] = [2.0, 8.0];
-/// The share of outliers among the corners.
+/// The same limits for the fraction of outliers among the corners.
 const OUTLIERS: [f64; 2] = [0.02, 0.25];
-/// The part of the image with corners.
+/// The same limits for the fraction of the image with corners.
 const COVERAGE: [f64; 2] = [0.6, 0.15];
-/// The angle between the board's normals, in degrees, up to which it counts as flat in all views.
+/// The greatest angle between the board's normals, in degrees, up to which its tilt counts as the
+/// same in all views.
 const FLAT_DEG: f64 = 15.0;
-/// Tilts that differ less than this in one of two directions leave that direction out.
+/// If tilts vary by less than this in one of two directions, that direction is missing.
 const ONE_WAY_DEG: f64 = 7.5;
 
-/// The part of an image for which a pinhole lens that was found well has no ray, and one that is
-/// usable: the image's corners alone are less than the first. Chosen, not swept.
+/// The same limits for the fraction of an image outside a pinhole lens's valid region: the image's
+/// corners alone are less than the first. Chosen, not swept.
 const WITHOUT_RAY: [f64; 2] = [0.05, 0.25];
 
-/// Uncertainties that are this many times as large are worth a word.
+/// Uncertainties that are this many times greater are mentioned.
 const NOTABLE_WIDENING: f64 = 1.2;
 
-/// Grades a calibration and says why. `shutter_in_model`: whether a rolling shutter that `estimate`
-/// has was part of the solve, as it is not where a sensor was solved with others.
+/// Grades a calibration, with reasons. `shutter_in_model`: whether the rolling shutter of
+/// `estimate` was part of the solve; it is not where a sensor was solved with others.
 pub(crate) fn judge(
     estimate: &CameraEstimate,
     uncertainty: Option<&UncertaintyMap>,
@@ -47,8 +50,7 @@ pub(crate) fn judge(
     shutter_in_model: bool,
 ) -> Verdict {
     let mut findings: Vec<Finding> = Vec::new();
-    // Causes before what follows from them: of findings of one grade the first is to be mended
-    // first.
+    // Causes come before their effects: of findings with one grade, the first is to be fixed first.
     findings.extend(misfit(estimate, check));
     findings.extend(bent_board(check));
     findings.extend(too_simple_lens(estimate, check));
@@ -66,12 +68,12 @@ pub(crate) fn judge(
     Verdict::of(findings)
 }
 
-/// A board whose length along x and y differs by more than this part is no print as printers make
-/// them: half a millimeter over a meter.
+/// If a board's lengths along x and y differ by more than this, relatively, printing does not
+/// explain it: half a millimeter over a meter.
 const ASPECT: f64 = 5e-4;
 
-/// Whether a board seems longer one way where pixels were taken as square: pixels that are not
-/// square give the same residuals.
+/// A finding if the board seems longer one way while pixels were taken as square: pixels that are
+/// not square have the same effect.
 pub(crate) fn square_pixels(estimate: &CameraEstimate) -> Option<String> {
     let shape = estimate.board_shape.as_ref()?;
     let percent = 100.0 * shape.aspect();
@@ -82,8 +84,8 @@ pub(crate) fn square_pixels(estimate: &CameraEstimate) -> Option<String> {
     })
 }
 
-/// How much of the image is known well enough, where a model that does not fit makes it `factor`
-/// times as uncertain.
+/// How much of the image is known well enough; a model that does not fit makes it `factor` times as
+/// uncertain.
 fn uncertainty(map: Option<&UncertaintyMap>, factor: f64) -> Option<Finding> {
     let worst_px = map.and_then(UncertaintyMap::median_and_worst).map(|known| known.worst_px);
     let (Some(map), Some(worst_px)) = (map, worst_px) else {
@@ -115,7 +117,7 @@ fn uncertainty(map: Option<&UncertaintyMap>, factor: f64) -> Option<Finding> {
     Finding::worse_than_good(grade, reason)
 }
 
-/// That the lens sees nothing in part of an image that a lens without a horizon fills.
+/// A finding if part of the image is outside the valid region of a lens model that should cover it.
 fn without_ray(lens: &Lens, map: Option<&UncertaintyMap>) -> Option<Finding> {
     let std_px = &map.filter(|_| lens.distortion.as_rational().is_some())?.std_px;
     let unseen = std_px.iter().filter(|std_px| std_px.is_none()).count();
@@ -127,7 +129,7 @@ fn without_ray(lens: &Lens, map: Option<&UncertaintyMap>) -> Option<Finding> {
     Finding::worse_than_good(Grade::of_figure(part, WITHOUT_RAY), reason)
 }
 
-/// That the model does not fit: first the cause, where it can be determined, then its signs.
+/// Findings that the model does not fit: first the cause, if it can be determined, then the signs.
 fn misfit(estimate: &CameraEstimate, check: &ModelCheck) -> Vec<Finding> {
     let signs: Vec<Finding> =
         [halves(estimate, check), variance_inflation(estimate), smooth_residuals(check)]
@@ -177,7 +179,7 @@ fn cause(estimate: &CameraEstimate, check: &ModelCheck) -> String {
 fn halves(estimate: &CameraEstimate, check: &ModelCheck) -> Option<Finding> {
     let enough =
         estimate.views.iter().filter(|view| view.fault.is_none()).count() >= ModelCheck::MIN_VIEWS;
-    // Of a lens that is given whole, halves have nothing to differ in.
+    // If the lens is given completely, halves cannot differ.
     let is_estimated = estimate.lens_covariance.diagonal().iter().any(|value| *value > 0.0);
     let Some(ratio) = check.split_half_ratio else {
         return (enough && is_estimated).then(|| Finding {
@@ -269,7 +271,7 @@ fn other_spacing(estimate: &CameraEstimate) -> Option<Finding> {
     Some(Finding { grade: Grade::Usable, reason })
 }
 
-/// What is not as stated but was measured along, which takes nothing from the grade.
+/// Deviations from what was stated that were measured and modeled; they do not lower the grade.
 fn accounted_for(estimate: &CameraEstimate, shutter_in_model: bool) -> Vec<Finding> {
     let board = estimate.board_shape.as_ref().map(|shape| {
         let [rms, std] = [shape.unevenness_m, shape.unevenness_std_m].map(|m| m * 1000.0);
@@ -298,8 +300,7 @@ fn accounted_for(estimate: &CameraEstimate, shutter_in_model: bool) -> Vec<Findi
     board.into_iter().chain(shutter).map(known).collect()
 }
 
-/// That some coefficients are no figures of the lens by themselves, which takes nothing from the
-/// projections.
+/// A finding if some coefficients are not meaningful by themselves; projections are not affected.
 fn known_together(estimate: &CameraEstimate) -> Option<Finding> {
     let lens = &estimate.lens;
     if let Some(OtherMinimum { lens: other, .. }) = &estimate.other_minimum {
@@ -366,15 +367,15 @@ fn missing_area(coverage: &Coverage) -> Option<Finding> {
     )
 }
 
-/// Which third of the image, across and down, has the most cells without a corner.
+/// The third of the image, across and down, with the most cells without a corner.
 fn emptiest_region(coverage: &Coverage) -> String {
     let cells = coverage.cells();
     let empty = |col: usize, row: usize| f64::from(u8::from(cells[row][col] == 0));
     region_with_most([cells[0].len(), cells.len()], empty)
 }
 
-/// Which third of the image, across and down, has the most of what is counted on a grid of columns
-/// and rows over it.
+/// The third of the image, across and down, with the greatest sum of `count` over a grid of columns
+/// and rows.
 fn region_with_most([cols, rows]: [usize; 2], count: impl Fn(usize, usize) -> f64) -> String {
     let third = |at: usize, count: usize| at * 3 / count;
     let mut sums = [[0.0_f64; 3]; 3];
@@ -392,9 +393,9 @@ fn region_with_most([cols, rows]: [usize; 2], count: impl Fn(usize, usize) -> f6
     }
 }
 
-/// That the board's tilt hardly differs between views, or does so in one direction only: each
-/// direction of tilt determines the focal length by itself, and what a lens's model leaves over
-/// resembles another tilt where one is missing.
+/// A finding if the board's tilt hardly varies between views, or in one direction only. Each
+/// direction of tilt determines the focal length by itself; if one is missing, the lens model's
+/// residual errors resemble a tilt in it.
 fn flat_board(estimate: &CameraEstimate) -> Option<Finding> {
     let used = estimate.views.iter().filter(|view| view.fault.is_none());
     let normals: Vec<_> =
@@ -424,7 +425,7 @@ fn flat_board(estimate: &CameraEstimate) -> Option<Finding> {
     (narrow.range_deg < ONE_WAY_DEG).then_some(Finding { grade: Grade::Usable, reason })
 }
 
-/// How far directions differ along one axis.
+/// The range of directions along one axis.
 #[derive(Debug, Clone, Copy)]
 struct TiltRange {
     /// From the least to the greatest, in degrees.
@@ -433,7 +434,8 @@ struct TiltRange {
     axis: nalgebra::Vector3<f64>,
 }
 
-/// The ranges of directions about their mean, along the axis of the greatest scatter and across it.
+/// The ranges of directions around their mean, along the axis of the greatest scatter and across
+/// it.
 fn tilt_ranges(
     directions: &[nalgebra::Vector3<f64>],
     mean: &nalgebra::Vector3<f64>,

@@ -20,7 +20,7 @@ pub struct MeasuredView {
     /// Which of the session's views it is.
     pub number: u32,
     pub(super) tiles: Vec<DepthTile>,
-    /// Some of those that lie on the board's plane.
+    /// A sample of the tiles on the board's plane.
     pub(super) sample: TileSample,
     /// The distance of the surface, in meters.
     pub(super) z_m: f64,
@@ -33,7 +33,7 @@ impl MeasuredView {
         Self { number, tiles, sample, z_m }
     }
 
-    /// The same as the `number`-th view.
+    /// The same with this number.
     #[must_use]
     pub fn numbered(self, number: u32) -> Self {
         Self { number, ..self }

@@ -1,6 +1,6 @@
-//! Views that a detector could see: a board anywhere in the image, near and far, tilted and rolled,
-//! all of it inside the frame (or, with markers, cut off at its rim), its squares large enough and
-//! sharp enough.
+//! Views that a detector could find: a board anywhere in the image, near and far, tilted and
+//! rolled. All of the board is inside the image (or, if it has markers, cut off at the border), its
+//! squares are large enough, and it is sharp enough.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
@@ -22,7 +22,7 @@ pub struct BoardPoints {
     pub points: Vec<Point3<f64>>,
     /// The side of a square, or the least distance of two points, in meters.
     pub side_m: f64,
-    /// Whether a part of the board shows which part it is, as that of one with markers does.
+    /// Whether a part of the board suffices to identify its corners, as on a board with markers.
     pub has_markers: bool,
 }
 
@@ -43,7 +43,7 @@ impl BoardPoints {
         }
     }
 
-    /// All points that a problem's views have; `None` if there are fewer than four.
+    /// All points of a problem's views; `None` if there are fewer than four.
     pub fn of_problem(problem: &CameraProblem) -> Option<Self> {
         let mut points: Vec<Point3<f64>> = Vec::new();
         for correspondence in problem.views.iter().flat_map(|view| &view.correspondences) {
@@ -73,7 +73,8 @@ impl BoardPoints {
         Point3::new(0.5 * (x[0] + x[1]), 0.5 * (y[0] + y[1]), 0.0)
     }
 
-    /// The corners of its extent, widened by `margin` squares: least x and y first, then along x.
+    /// The corners of its extent, widened by `margin` squares: the one at the least x and y first,
+    /// then along x.
     pub fn outline(&self, margin: f64) -> [Point3<f64>; 4] {
         let [x, y] = self.extent().map(|[least, greatest]| {
             [least - margin * self.side_m, greatest + margin * self.side_m]
@@ -88,51 +89,53 @@ impl BoardPoints {
     }
 }
 
-/// How a board is held, free of any camera.
+/// How a board is held in the image, independent of the camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Holding {
-    /// Where in the room that the image leaves it, across and down, 0 to 1.
+    /// Its place in the room that it leaves in the image, across and down, 0 to 1.
     pub at: [f64; 2],
-    /// The root of the part of the image that its corners would span facing the camera, 0 to 1.
+    /// The root of the fraction of the image that its corners would span if it faced the camera, 0
+    /// to 1.
     pub share: f64,
     /// The angle between its normal and the line of sight, in radians.
     pub tilt: f64,
-    /// About which axis it is tilted, in radians from the image's x.
+    /// The axis that it is tilted about, as an angle in radians from the image's x.
     pub azimuth: f64,
     /// Its roll in the image, in radians.
     pub roll: f64,
 }
 
-/// The shares of the image, tilts and rolls that are asked for. Small boards reach far into the
-/// corners of a fisheye's image; how small is limited by the squares.
+/// The range of the fraction of the image. Small boards reach far into the corners of a fisheye's
+/// image; the size of the squares limits how small.
 const SHARE: [f64; 2] = [0.12, 0.85];
-/// Rendered boards are found up to 50°; beyond, detectors begin to miss them.
+/// The greatest tilt and roll. Rendered boards are found up to 50°; beyond, detectors begin to miss
+/// them.
 const GREATEST_TILT: f64 = 0.85;
 const GREATEST_ROLL: f64 = 0.6;
-/// A board that is asked for in a corner keeps this part of the room from it.
+/// A board for a corner of the image keeps this fraction of the room from that corner.
 const IN_CORNER: f64 = 0.06;
-/// How far off hands end a movement, relative to the distance: its standard deviation.
+/// Standard deviation of the position where a movement by hand ends, relative to the distance.
 const AIM: f64 = 0.03;
-/// Squares smaller than this are not asked for: detectors need 6 px.
+/// The least side of a square: detectors need 6 px.
 const LEAST_SIDE_PX: f64 = 8.0;
-/// What is seen of a board's card beyond its outer corners: the squares that make them corners.
+/// How far the board must be visible beyond its outer corners: the squares that form these corners.
 const MARGIN_SQUARES: f64 = 1.0;
 const BORDER_PX: f64 = 2.0;
-/// A board with markers may be cut off at the image's rim by this part of its extent.
+/// A board with markers may extend beyond the image by this fraction of its extent.
 const OVERHANG: f64 = 0.35;
-/// Blur beyond this part of the image's diagonal is refused by admission; half of it is asked for
-/// at most.
+/// The greatest blur of a suggested view, as a fraction of the image's diagonal: half of what
+/// admission accepts.
 const BLUR_PART: f64 = 0.00125;
 const LEAST_BLUR_LIMIT_PX: f64 = 1.5;
-/// Of more corners every n-th stands for the others.
+/// With more corners, every n-th one is used with weight n.
 const MOST_CORNERS: usize = 48;
 
-/// The generators of Roberts' R6 sequence: powers of the root of x⁷ = x + 1, inverted.
+/// The generators of Roberts' R6 sequence: powers of the inverse of the root of x⁷ = x + 1.
 const GENERATORS: [f64; 6] =
     [0.898_653_9, 0.807_578_8, 0.725_733_8, 0.652_183_5, 0.586_087_2, 0.526_689_6];
 
 impl Holding {
-    /// The `index`-th of a sequence that fills all of them evenly.
+    /// The `index`-th of a sequence that covers the whole range evenly.
     pub fn of_sequence(index: usize) -> Self {
         let part = |axis: usize| (0.5 + GENERATORS[axis] * (index as f64 + 1.0)).fract();
         Self {
@@ -145,14 +148,14 @@ impl Holding {
         }
     }
 
-    /// The `index`-th of those in a corner of the image, one corner after another.
+    /// The `index`-th with the board in a corner of the image, one corner after another.
     pub fn in_corner(index: usize) -> Self {
         let beside = |at: f64| IN_CORNER + (1.0 - 2.0 * IN_CORNER) * at;
         let at = [index & 1, index >> 1 & 1].map(|side| beside(side as f64));
         Self { at, ..Self::of_sequence(index) }
     }
 
-    /// One near it: the `index`-th of a sequence within `step` (0 to 1) of the whole range.
+    /// The `index`-th of a sequence around it, within `step` (0 to 1) of the whole range.
     pub fn near(&self, index: usize, step: f64) -> Self {
         let part = |axis: usize| {
             step * (2.0 * (0.5 + GENERATORS[axis] * (index as f64 + 1.0)).fract() - 1.0)
@@ -167,20 +170,20 @@ impl Holding {
     }
 }
 
-/// A view that nobody took yet.
+/// A view that could be suggested.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CandidateView {
     /// How the board would be held.
     pub holding: Holding,
-    /// Where it would be.
+    /// The board's pose.
     pub camera_from_board: Pose,
-    /// How likely all of it is seen when hands hold it about there.
+    /// The probability that all of the board is visible when it is held by hand near this pose.
     pub likely: f64,
-    /// Its corners with the noise that they would have; every n-th of many, with the weight of all.
+    /// Its corners with their expected noise; with many, every n-th one has the weight of n.
     pub corners: Vec<WeightedCorner>,
 }
 
-/// What can be asked for: a board before a camera.
+/// The space of views to suggest: a board in front of a camera.
 #[derive(Debug, Clone, Copy)]
 pub struct CandidateSpace<'a> {
     /// The lens, as far as it is known.
@@ -189,31 +192,31 @@ pub struct CandidateSpace<'a> {
     pub size: ImageSize,
     /// The board.
     pub board: &'a BoardPoints,
-    /// How exact its corners are.
+    /// The expected noise of its corners.
     pub noise: &'a CornerNoise,
-    /// How the board is rotated before a camera that it faces, as [`base_rotation`] has it.
+    /// The board's rotation when it faces the camera, from [`base_rotation`].
     pub base: UnitQuaternion<f64>,
-    /// Where it is not asked for.
+    /// Poses that are not suggested.
     pub avoided: &'a [AvoidedPose],
 }
 
-/// A pose about which a board would not be kept.
+/// A pose around which a board would not be kept.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AvoidedPose {
     /// Where.
     pub camera_from_board: Pose,
-    /// Within this effort.
+    /// The radius, as an effort.
     pub effort: f64,
 }
 
-/// How a board is rotated before the camera, tilt and lesser rotations left out: by a multiple of a
-/// quarter turn, and about if its z axis points at the camera, as that of Kalibr's grids does.
+/// The board's rotation in the camera without tilt and smaller rotations: a multiple of 90°, and
+/// 180° about the board's x axis if its z axis points at the camera, as on Kalibr's grids.
 pub fn base_rotation(camera_from_board: &Pose) -> UnitQuaternion<f64> {
     let row = *camera_from_board * Vector3::x();
     let quarters = (row.y.atan2(row.x) / FRAC_PI_2).round();
     let rolled = UnitQuaternion::from_scaled_axis(Vector3::z() * (quarters * FRAC_PI_2));
-    // By the line of sight: at a fisheye's rim the normal of a board that is seen from the front
-    // may point away from the image plane.
+    // The test uses the line of sight: near the border of a fisheye's image, the normal of a board
+    // that is seen from the front may point away from the image plane.
     let normal = *camera_from_board * Vector3::z();
     let towards_camera = normal.dot(&camera_from_board.translation()) < 0.0;
     if towards_camera {
@@ -223,10 +226,10 @@ pub fn base_rotation(camera_from_board: &Pose) -> UnitQuaternion<f64> {
     }
 }
 
-/// A hand carries a board by half its distance, or rotates it by a radian, in the same time.
+/// A hand moves a board by half its distance in the time in which it rotates it by a radian.
 const EFFORT_PER_DISTANCE: f64 = 2.0;
 
-/// How far it is from one pose to another for a board with this middle, in rotations by a radian.
+/// The effort from one pose to another for a board with this middle, in radians of rotation.
 pub fn effort(here_from_board: &Pose, there_from_board: &Pose, middle: Point3<f64>) -> f64 {
     let poses = [here_from_board, there_from_board];
     let [here, there] = poses.map(|pose| (*pose * middle).coords);
@@ -236,8 +239,8 @@ pub fn effort(here_from_board: &Pose, there_from_board: &Pose, middle: Point3<f6
 }
 
 impl CandidateSpace<'_> {
-    /// The view of a board held so; `None` where the detector would not see all of it, and in
-    /// avoided poses.
+    /// The view of a board held like this; `None` in avoided poses, and where the detector would
+    /// not find all of it.
     pub fn view(&self, holding: &Holding) -> Option<CandidateView> {
         let camera_from_board = self.camera_from_board(holding)?;
         let is_avoided = |avoided: &AvoidedPose| {
@@ -248,8 +251,8 @@ impl CandidateSpace<'_> {
         may_be_asked_for.then(|| self.seen(holding, camera_from_board)).flatten()
     }
 
-    /// The view of a board at `camera_from_board`, which another camera sees held as `holding`;
-    /// `None` where the detector would not see all of it.
+    /// The view of a board at `camera_from_board`, which is held as `holding` before another
+    /// camera; `None` where the detector would not find all of it.
     pub fn view_at(&self, holding: &Holding, camera_from_board: Pose) -> Option<CandidateView> {
         let [low, high] = self.bounding_box(&camera_from_board)?;
         self.is_inside([low, high]).then(|| self.seen(holding, camera_from_board)).flatten()
@@ -287,8 +290,7 @@ impl CandidateSpace<'_> {
         Some(CandidateView { holding: *holding, camera_from_board, likely, corners })
     }
 
-    /// Where the outer corners of the board are seen, in pixels: the one at its least x and y
-    /// first, then along x.
+    /// The pixels of the board's outer corners: the one at its least x and y first, then along x.
     pub fn outline_px(&self, camera_from_board: &Pose) -> Option<[Pixel; 4]> {
         let [a, b, c, d] = self
             .board
@@ -297,8 +299,8 @@ impl CandidateSpace<'_> {
         Some([a?, b?, c?, d?])
     }
 
-    /// Puts the card so that its bounding box in the image lies at the part `at` of the room that
-    /// is left; farther away where there is none.
+    /// Places the board so that its bounding box in the image lies at the fraction `at` of the room
+    /// that is left, and farther away if there is no room.
     fn camera_from_board(&self, holding: &Holding) -> Option<Pose> {
         let [width, height] = [self.size.width, self.size.height].map(f64::from);
         let focal_px = 0.5 * (self.lens.matrix.fx + self.lens.matrix.fy);
@@ -342,7 +344,7 @@ impl CandidateSpace<'_> {
         inside
     }
 
-    /// By how much a board with this box may be cut off at the image's rim, across and down.
+    /// How far a board with this bounding box may extend beyond the image, across and down.
     fn over_px(&self, [low, high]: [Pixel; 2]) -> [f64; 2] {
         [high.x - low.x, high.y - low.y]
             .map(|px| if self.board.has_markers { OVERHANG * px } else { 0.0 })
@@ -355,8 +357,8 @@ impl CandidateSpace<'_> {
         (0..4).all(|side| over[side] <= over_px[side % 2])
     }
 
-    /// How likely a board that is aimed there is seen whole, where it has to be: hands end a
-    /// movement beside its aim, normally distributed by each axis.
+    /// The probability that a board that is aimed there is completely visible, where it has to be:
+    /// hands miss the aim, with a normal distribution per axis.
     fn likely(&self, camera_from_board: &Pose) -> Option<f64> {
         if self.board.has_markers {
             return Some(1.0);
@@ -366,7 +368,7 @@ impl CandidateSpace<'_> {
         let std_px = AIM * focal_px;
         let [width, height] = [self.size.width, self.size.height].map(f64::from);
         let rooms = [low.x, low.y, width - 1.0 - high.x, height - 1.0 - high.y];
-        // The logistic approximation of the normal distribution, right to 0.01.
+        // The logistic approximation of the normal distribution, accurate to 0.01.
         let inside = |room: f64| 1.0 / (1.0 + (-1.702 * room / std_px).exp());
         Some(rooms.into_iter().map(inside).product())
     }

@@ -1,10 +1,10 @@
-//! How exact the corners of a view will be that nobody took yet.
+//! The expected standard deviation of the corners of a future view.
 //!
-//! A corner lies where two edges cross. An edge with a Gaussian blur of width w, seen over a length
-//! s, is known to a variance ∝ w / s (the Fisher information of its place is ∫ (dI/dx)² dx per unit
-//! of length ∝ 1 / w). The length is the side of a square in the image, which a tilt shortens. The
-//! blur follows the thin lens: constant in focus, beyond it linear in 1/distance. The remainder,
-//! one factor, is the light and the detector: the views that are there show it.
+//! A corner is where two edges cross. An edge with a Gaussian blur of width w, seen over a length
+//! s, has a position variance ∝ w / s (the Fisher information of its position is ∫ (dI/dx)² dx per
+//! unit of length ∝ 1 / w). The length is the side of a square in the image, which a tilt shortens.
+//! The blur follows the thin lens: constant in focus, beyond it linear in 1/distance. The remaining
+//! factor combines light and detector; it is estimated from the views so far.
 
 use nalgebra::{Matrix2, Point3, Vector3};
 
@@ -12,7 +12,7 @@ use crate::geometry::lens::Lens;
 use crate::geometry::median::median;
 use crate::geometry::pose::Pose;
 
-/// What a view shows of noise.
+/// The noise of one view, with what it depends on.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct NoiseSample {
     /// Median standard deviation of its corners, in pixels.
@@ -25,25 +25,27 @@ pub struct NoiseSample {
     pub distance_m: f64,
 }
 
-/// The standard deviation of corners by the length of their edges and the distance.
+/// The standard deviation of corners as a function of the length of their edges and of the
+/// distance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CornerNoise {
     /// √(σ² s / w) in pixels: the noise of an edge one pixel long with a blur of one pixel.
     factor_px: f64,
     /// Coefficients of blur² by 1/distance, in px², px² m, px² m².
     blur_square: [f64; 3],
-    /// The distances that boards were seen at, in meters.
+    /// The nearest and the farthest distance of the views, in meters.
     seen_m: Option<[f64; 2]>,
 }
 
-/// Before any view: 0.1 px for a square of 30 px behind a blur of 0.8 px, as detectors reach.
+/// The factor before any view: 0.1 px for a square of 30 px with a blur of 0.8 px, as detectors
+/// reach.
 const UNSEEN_FACTOR_PX: f64 = 0.61;
 const UNSEEN_BLUR_PX: f64 = 0.8;
-/// A detector's window ends here: longer edges make no corner more exact.
+/// The detector's window ends here: longer edges do not make a corner more accurate.
 const LONGEST_SIDE_PX: f64 = 40.0;
-/// Fewer views at different distances show nothing of the depth of field.
+/// Fewer views do not determine the depth of field.
 const LEAST_DISTANCES: usize = 5;
-/// Distances that differ by less than this factor neither.
+/// Nor do distances that differ by less than this factor.
 const LEAST_RANGE: f64 = 1.3;
 
 impl Default for CornerNoise {
@@ -57,7 +59,7 @@ impl Default for CornerNoise {
 }
 
 impl CornerNoise {
-    /// What the views show.
+    /// Learns the noise from views.
     pub fn learn(samples: &[NoiseSample]) -> Self {
         let factors = samples.iter().map(|sample| {
             sample.std_px * (sample.side_px.min(LONGEST_SIDE_PX) / sample.blur_px.max(0.1)).sqrt()
@@ -75,23 +77,24 @@ impl CornerNoise {
 
     /// The blur of a board at this distance, in pixels.
     pub fn blur_px(&self, distance_m: f64) -> f64 {
-        // Beyond what was seen nothing is known but that it gets no sharper.
+        // Extrapolates a little beyond the distances seen; farther out the blur stays constant.
         let [near, far] = self.seen_m.unwrap_or([distance_m; 2]);
         let q = 1.0 / distance_m.clamp(0.7 * near, 1.4 * far);
         let [a, b, c] = self.blur_square;
         (a + b * q + c * q * q).max(0.05).sqrt()
     }
 
-    /// The standard deviation of a corner whose squares are `side_px` pixels in the image at their
-    /// shorter side.
+    /// The standard deviation of a corner whose square has a shorter side of `side_px` pixels in
+    /// the image.
     pub fn std_px(&self, side_px: f64, distance_m: f64) -> f64 {
         let side_px = side_px.clamp(1.0, LONGEST_SIDE_PX);
         self.factor_px * (self.blur_px(distance_m) / side_px).sqrt()
     }
 }
 
-/// The shorter side in the image of a square of `side_m` meters at `point_in_board`, in pixels:
-/// the least stretch of the projection there. `None` outside the lens's valid region.
+/// The shorter side in the image of a square of `side_m` meters at `point_in_board`, in pixels: the
+/// smaller singular value of the projection's Jacobian there. `None` outside the lens's valid
+/// region.
 pub fn side_px(
     lens: &Lens,
     camera_from_board: &Pose,
@@ -107,8 +110,8 @@ pub fn side_px(
     Some((0.5 * (square - gap)).max(0.0).sqrt())
 }
 
-/// blur² = a + b q + c q² in q = 1/distance by least squares; `None` unless it opens upward, as a
-/// lens does that is in focus somewhere.
+/// Fits blur² = a + b q + c q² in q = 1/distance by least squares; `None` unless the parabola opens
+/// upward and has its minimum at a distance, as that of a lens that is in focus somewhere.
 fn depth_of_field(samples: &[NoiseSample]) -> Option<[f64; 3]> {
     let (mut normal, mut right) = (nalgebra::Matrix3::zeros(), Vector3::zeros());
     for sample in samples {

@@ -1,5 +1,5 @@
-//! The depth camera of a session's views so far: least squares over the board's surface in each, as
-//! the solve has it, but with a correction of two numbers.
+//! Fits the depth camera to a session's views so far: least squares over the board's surface in
+//! each view, as in the solve, but with a depth correction of two parameters.
 
 use nalgebra::{DMatrix, DVector, Vector6};
 
@@ -12,38 +12,39 @@ use crate::estimation::scaled_factor::scaled_inverse;
 use crate::geometry::depth_camera::DepthTile;
 use crate::geometry::median::{NORMAL_MEDIAN, median};
 
-/// What came of it.
+/// The fitted depth camera.
 pub(super) struct FittedDepth {
     pub(super) depth: PlacedDepth,
-    /// By how much tiles scatter more than their readings do, and the means over many of them more
-    /// than if each erred by itself.
+    /// Standard deviation of the tiles relative to that of their readings, and how much more the
+    /// means over many tiles scatter than independent errors would.
     pub(super) scatter: [f64; 2],
-    /// All steps together.
+    /// The sum of all steps.
     moved: DVector<f64>,
     /// Which tiles of each view lie on its plane.
     pub(super) used: Vec<Vec<bool>>,
 }
 
-/// One view: what color saw, and the board's surface.
+/// One view: the corners in color, and the tiles on the board's surface.
 type PlaneView<'a> = (&'a TaughtView, &'a [DepthTile]);
 
-/// As in the solve: the first round finds what lies off the plane.
+/// As in the solve: the first round finds the tiles that do not lie on the plane.
 const ROUNDS: usize = 2;
 const STEPS: usize = 20;
-/// A step that lowers half the sum of squares by less than this a view is the last.
+/// The iteration ends with a step that lowers half the sum of squares by less than this per view.
 const SETTLED: f64 = 1e-4;
-/// The diagonal grows by this part at first …
+/// The initial relative damping of the diagonal …
 const FIRST_DAMPING: f64 = 1e-3;
-/// … and by so many times as much after a step that does not lower the cost.
+/// … and the factor by which it grows after a step that does not lower the cost, and falls after
+/// one that does.
 const DAMPING_FACTOR: f64 = 10.0;
 /// Residual limit of an inlier tile, in standard deviations.
 const LIMIT: f64 = 6.0;
 
-/// So many tiles stand for all of a view.
+/// Tiles that stand for all tiles of a view.
 const SAMPLED: usize = 24;
 
-/// Fits the depth camera from `start` on, which is known as well as `prior` says: it stays there in
-/// directions that nothing determines. `None` where there is no fit.
+/// Fits the depth camera, starting from `start` with the information `prior` about it: in
+/// directions that the views leave open it stays there. `None` if the fit fails.
 pub(super) fn fit_depth(
     start: &PlacedDepth,
     prior: &DMatrix<f64>,
@@ -62,17 +63,17 @@ pub(super) fn fit_depth(
     Some(fitted)
 }
 
-/// The normal equations of all views together, the boards' poses eliminated.
+/// The normal equations of all views together, with the boards' poses eliminated.
 struct DepthEquations {
     normal: DMatrix<f64>,
     gradient: DVector<f64>,
-    /// Half the sum of squares where the boards are best placed.
+    /// Half the sum of squares, minimized over the boards' poses.
     cost: f64,
 }
 
 impl FittedDepth {
-    /// Steps by Levenberg and Marquardt until the cost falls no more: far from the answer, or in
-    /// directions that few views leave open, a whole step of Gauss and Newton overshoots.
+    /// Levenberg–Marquardt until the cost no longer falls: far from the solution, or in directions
+    /// that few views leave open, a full Gauss–Newton step overshoots.
     fn settle(&mut self, prior: &DMatrix<f64>, views: &[PlaneView<'_>]) -> Option<()> {
         for (at, (taught, tiles)) in views.iter().enumerate() {
             if self.normal((*taught, *tiles), &self.used[at]).is_none() {
@@ -113,7 +114,7 @@ impl FittedDepth {
         let mut gradient = prior * &self.moved;
         let mut cost = 0.5 * self.moved.dot(&gradient);
         for ((taught, tiles), used) in views.iter().zip(&self.used) {
-            // A step out of what the lens sees is none.
+            // A step that leaves the lens's valid region is rejected.
             let planes = self.normal((*taught, *tiles), used)?;
             let inverse = inverse_of_pose(&(taught.normal().by_pose + planes.by_pose))?;
             let through = &planes.coupling * inverse;
@@ -130,8 +131,8 @@ impl FittedDepth {
         PlaneNormal::of(&self.depth, &taught.centered(), &sample(tiles, used), variance)
     }
 
-    /// Finds which tiles lie on their planes, and how those scatter; the boards are where corners
-    /// and planes have them together.
+    /// Determines which tiles lie on their planes, and their scatter. The boards' poses are those
+    /// that corners and planes give together.
     fn judge(&mut self, views: &[PlaneView<'_>]) -> Option<()> {
         let residuals: Vec<Vec<f64>> = (views.iter().zip(&self.used))
             .map(|((taught, tiles), used)| {
@@ -168,8 +169,8 @@ impl FittedDepth {
     }
 }
 
-/// The sum over the quarters of a view of the squared sum of residuals over their number, as the
-/// solve takes it: as large as four residuals' squares where each errs by itself.
+/// The sum over the four quarters of a view of (sum of residuals)² / count, as in the solve: on
+/// average four times the residual variance if errors are independent.
 fn mean_squares_of_quarters(tiles: &[(&DepthTile, f64)]) -> Option<f64> {
     let middle =
         |of: fn(&DepthTile) -> f64| median(tiles.iter().map(|(tile, _)| of(tile)).collect());
@@ -184,8 +185,8 @@ fn mean_squares_of_quarters(tiles: &[(&DepthTile, f64)]) -> Option<f64> {
     Some(quarters.iter().map(mean_square).sum())
 }
 
-/// At most [`SAMPLED`] of the used tiles. Taken by the golden ratio, so that rows and columns of
-/// tiles are no pattern of theirs.
+/// At most [`SAMPLED`] of the used tiles, spaced by the golden ratio so that the sample does not
+/// align with the rows and columns of tiles.
 pub(super) fn sample(tiles: &[DepthTile], used: &[bool]) -> TileSample {
     let used: Vec<DepthTile> =
         tiles.iter().zip(used).filter(|(_, used)| **used).map(|(tile, _)| *tile).collect();

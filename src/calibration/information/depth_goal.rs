@@ -1,7 +1,7 @@
-//! How uncertain it is where color sees what depth measures: the pixels of the depth image at the
-//! distances that boards were seen at, in the color image. Both lenses, the relative pose and the
-//! error of depth have their part in it, with their correlations. The noise of a single reading has
-//! none: it is the device's, and no view lowers it.
+//! The uncertainty of where color sees what depth measures: pixels of the depth image, at the
+//! distances of the boards seen, are projected into the color image. Both lenses, the relative pose
+//! and the depth error contribute, with their correlations. The noise of a single reading does not:
+//! it belongs to the device, and no view lowers it.
 
 use nalgebra::DMatrix;
 
@@ -15,25 +15,25 @@ use crate::geometry::pixel::ImageSize;
 /// The derivatives of transferred pixels.
 #[derive(Debug, Clone)]
 pub struct DepthGoal {
-    /// Two columns a pixel, a row for each parameter of the depth camera …
+    /// Two columns per pixel, a row for each parameter of the depth camera …
     by_depth: DMatrix<f64>,
-    /// … and for each open one of color's lens.
+    /// … and for each free parameter of color's lens.
     by_color: DMatrix<f64>,
-    /// How many pixels there are at each distance.
+    /// The number of pixels at each distance.
     counts: Vec<usize>,
     figure: GoalFigure,
 }
 
 /// Columns of the grid over the depth image.
 const COLUMNS: u32 = 5;
-/// Of those that color sees at least so many at a distance, or all that its lens has a pixel for
-/// are taken.
+/// If fewer of them than this project into the color image at a distance, those outside it count
+/// too.
 const LEAST_SEEN: usize = 4;
 
 /// A depth camera beside a color camera.
 #[derive(Debug, Clone, Copy)]
 pub struct DepthBesideColor<'a> {
-    /// Depth, where color has it.
+    /// The depth camera with its pose relative to color.
     pub depth: &'a PlacedDepth,
     /// The size of its images.
     pub depth_size: ImageSize,
@@ -46,8 +46,8 @@ pub struct DepthBesideColor<'a> {
 }
 
 impl DepthGoal {
-    /// The `figure` of depth's pixels in color at each of `distances_m`. `None` where color sees
-    /// none of them.
+    /// The uncertainty of depth's pixels in color at each of `distances_m`, reduced to `figure`.
+    /// `None` where no pixel projects into color.
     pub fn new(
         sensors: DepthBesideColor<'_>,
         distances_m: &[f64],
@@ -87,8 +87,8 @@ impl DepthGoal {
         })
     }
 
-    /// The 1-σ uncertainty of each transferred pixel in its worst direction, in pixels of color,
-    /// distance after distance. `None` where the information leaves something open.
+    /// The 1-σ uncertainty of each projected pixel in its worst direction, in pixels of color,
+    /// distance after distance. `None` where the information matrix leaves something undetermined.
     pub fn std_px(&self, known: &DepthInformation) -> Option<Vec<f64>> {
         let parts = known.deviations(&self.by_depth, &self.by_color)?;
         let std = |at: usize| {
@@ -104,13 +104,13 @@ impl DepthGoal {
         stds.iter().all(|std| std.is_finite()).then_some(stds)
     }
 
-    /// The figure of uncertainties at the distance where it is greatest, in pixels of color.
+    /// The greatest over the distances of the figure of `std_px`, in pixels of color.
     pub fn figure_px(&self, std_px: &[f64]) -> f64 {
         self.figures_px(std_px).into_iter().fold(0.0, f64::max)
     }
 
-    /// What views are compared by, in pixels: a power mean over the distances, or over all pixels
-    /// where the worst of them is to fall.
+    /// The number that views are compared by, in pixels: a power mean of the figures at the
+    /// distances, or of all pixels if the goal is the worst one.
     pub fn criterion_px(&self, std_px: &[f64]) -> f64 {
         match self.figure {
             GoalFigure::Median => power_mean(&self.figures_px(std_px)),

@@ -1,26 +1,27 @@
-//! What is known of a depth camera beside a color camera: its lens, where it is and its error in
-//! depth, and how all of it moves with what is not known of color's lens.
+//! The information on a depth camera beside a color camera: its lens, its pose and its depth error,
+//! and how all of these depend on the uncertainty of color's lens.
 //!
 //! ```text
 //! N = Σ over views of (A − C (H + P)⁻¹ Cᵀ) / σ²      K = Σ over views of C (H + P)⁻¹ Gᵀ / σ²
 //! covariance of depth = N⁻¹ t + N⁻¹ K Λ⁻¹ Kᵀ N⁻¹     with color = N⁻¹ K Λ⁻¹
 //! ```
 //!
-//! A, C and P are the blocks (depth, depth × pose, pose) of what the board's surface says, H and G
-//! those (pose, lens × pose) of color's corners, Λ what is known of color's lens. As in the solve,
-//! corners come first: planes teach the depth camera, and color's lens only passes on what it is
-//! not known by. t is by how much neighboring readings err together.
+//! A, C and P are the blocks (depth, depth × pose, pose) of the normal matrix of the board's
+//! surface, H and G the blocks (pose, lens × pose) of color's corners, and Λ is the information on
+//! color's lens. As in the solve, corners come first: planes determine the depth camera only, and
+//! the uncertainty of color's lens propagates to it. t is the variance inflation by correlated
+//! errors of neighboring readings.
 //!
-//! Where infrared sees boards, its corners teach lens and pose, and planes the error in depth
-//! alone, with R and S their blocks (error, error) and (error, lens and pose) of the sum over
-//! views, κ what they say of the error by color's lens, and N₁ and K₁ what corners say of lens and
+//! Where infrared sees boards, its corners determine lens and pose, and planes only the depth
+//! error. R and S are then the planes' blocks (error, error) and (error, lens and pose) of the sum
+//! over views, κ their rows of K for the error, and N₁ and K₁ the corners' N and K for lens and
 //! pose:
 //!
 //! ```text
 //! N = [N₁ + Sᵀ R⁻¹ S, Sᵀ; S, R]      K = [K₁ + Sᵀ R⁻¹ κ; κ]
 //! ```
 //!
-//! which has the covariance that corners leave of lens and pose, whatever planes say.
+//! so that lens and pose have the covariance that corners give, whatever planes say.
 
 use std::borrow::Cow;
 
@@ -33,20 +34,20 @@ use crate::estimation::rgbd::plane_information::{PlacedDepth, PlaneNormal};
 use crate::estimation::scaled_factor::{ScaledFactor, scaled_inverse};
 use crate::geometry::lens::MAX_PARAMETERS;
 
-/// What is known of a depth camera.
+/// The information on a depth camera.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DepthInformation {
-    /// The parameters of color's lens that are open.
+    /// The free parameters of color's lens.
     pub free: Vec<usize>,
     /// The inverse of the covariance of those.
     pub color: DMatrix<f64>,
-    /// What views say of the depth camera, color's lens being known.
+    /// What the views add for the depth camera, given color's lens.
     pub depth: DepthNormal,
-    /// Corners that infrared sees teach all parameters of the depth camera before this one, which
-    /// its correction begins with; `None` where planes teach all of them.
+    /// The parameters of the depth camera before this index are determined by infrared corners; its
+    /// correction begins there. `None` where planes determine all of them.
     pub by_infrared: Option<usize>,
-    /// By how much the variance of means over many readings is greater than if each erred by
-    /// itself; at least 1.
+    /// The factor by which correlated errors of readings increase the variance of means over many
+    /// of them; at least 1.
     pub together: f64,
 }
 
@@ -55,32 +56,31 @@ pub struct DepthInformation {
 pub struct DepthNormal {
     /// N, over the depth camera's parameters.
     pub by_depth: DMatrix<f64>,
-    /// K, by the open parameters of color's lens.
+    /// K, over the free parameters of color's lens.
     pub by_color: DMatrix<f64>,
 }
 
-/// Before any view: the relative standard deviation of the focal length about one that sees as much
-/// as color does …
+/// Priors before any view: the relative standard deviation of the focal length, around the one that
+/// gives color's field of view …
 const PRIOR_FOCAL: f64 = 0.3;
-/// … that of the principal point, relative to the focal length, and the rotation beside color, in
-/// radians …
+/// … that of the principal point, relative to the focal length, and of the rotation relative to
+/// color, in radians …
 const PRIOR_ANGLE: f64 = 0.2;
-/// … where it is, in meters: about where devices have it …
+/// … of the translation, in meters: about what devices have …
 const PRIOR_PLACE_M: f64 = 0.2;
-/// … and the coefficients of its distortion: 1 moves pixels one focal length from the middle by as
-/// much. The solve takes nothing for known of them.
+/// … and of the distortion coefficients: 1 moves pixels one focal length from the center by one
+/// focal length. The solve has no such priors.
 const PRIOR_DISTORTION: f64 = 1.0;
 
 impl DepthNormal {
-    /// A part of it.
+    /// The same, scaled by `part`.
     pub fn scaled(&self, part: f64) -> Self {
         Self { by_depth: &self.by_depth * part, by_color: &self.by_color * part }
     }
 }
 
 impl DepthInformation {
-    /// Nothing known of `depth` but about where devices have it: weak enough that a few views
-    /// outweigh it.
+    /// The prior of `depth`, about what devices are like: weak enough that a few views outweigh it.
     pub fn prior(color: &LensInformation, depth: &PlacedDepth) -> Self {
         let mut by_depth = depth.correction_prior();
         let focal_px = 0.5 * (depth.lens.matrix.fx + depth.lens.matrix.fy);
@@ -97,7 +97,7 @@ impl DepthInformation {
         Self::nothing(color, by_depth)
     }
 
-    /// What the solve itself takes for known before it: that of the correction alone.
+    /// The prior of the solve itself: that of the correction only.
     pub fn of_solve(color: &LensInformation, depth: &PlacedDepth) -> Self {
         Self::nothing(color, depth.correction_prior())
     }
@@ -119,9 +119,9 @@ impl DepthInformation {
         Self { by_infrared: Some(depth.correction_at()), ..self }
     }
 
-    /// What one view says by planes: color's corners, and the board's surface as depth measured
-    /// it, with the board's pose about the same point as [`ViewNormal::middle_in_camera`]. `None`
-    /// where corners do not determine the board's pose.
+    /// What the planes of one view add: `color` has its corners, and `planes` the board's surface
+    /// as depth measured it, both with the board's pose about [`ViewNormal::middle_in_camera`].
+    /// `None` where the corners do not determine the board's pose.
     pub fn of_view(&self, color: &ViewNormal, planes: &PlaneNormal) -> Option<DepthNormal> {
         let of_surface = (&planes.by_depth, &planes.coupling, &planes.by_pose);
         let mut view = self.without_board(color, of_surface)?;
@@ -132,7 +132,7 @@ impl DepthInformation {
         Some(view)
     }
 
-    /// As [`Self::of_view`], of a view in which infrared sees the board, and planes or not.
+    /// As [`Self::of_view`], for a view in which infrared sees the board; `planes` may be missing.
     pub fn of_view_with_infrared(
         &self,
         color: &ViewNormal,
@@ -158,7 +158,7 @@ impl DepthInformation {
         Some(all)
     }
 
-    /// Normal equations beside those of color's corners, with the board's pose eliminated.
+    /// Normal equations together with those of color's corners, the board's pose eliminated.
     fn without_board(
         &self,
         color: &ViewNormal,
@@ -174,13 +174,13 @@ impl DepthInformation {
         is_finite.then_some(DepthNormal { by_depth, by_color })
     }
 
-    /// Takes a view in that color's information has already.
+    /// Adds a view that color's information already includes.
     pub fn add(&mut self, view: &DepthNormal) {
         self.depth.by_depth += &view.by_depth;
         self.depth.by_color += &view.by_color;
     }
 
-    /// The same with one more view: what it says of color's lens, and of depth where it is
+    /// The same with one more view: its information on color's lens, and on depth if it was
     /// measured.
     #[must_use]
     pub fn with(&self, color: &DMatrix<f64>, depth: Option<&DepthNormal>) -> Self {
@@ -217,16 +217,17 @@ impl DepthInformation {
         )
     }
 
-    /// Rows whose squares add up to the variance of each of some numbers with these derivatives, a
-    /// column each, by depth's parameters and by color's. `None` where something is not determined.
+    /// Two matrices with a column per quantity: the squared norms of its two columns add up to its
+    /// variance. `by_depth` and `by_color` are the quantities' derivatives, a column each. `None`
+    /// where something is undetermined.
     pub(super) fn deviations(
         &self,
         by_depth: &DMatrix<f64>,
         by_color: &DMatrix<f64>,
     ) -> Option<[DMatrix<f64>; 2]> {
         let views = self.of_all_views()?;
-        // There are far more columns than parameters: products with the inverse's root take a
-        // fraction of the time that solving for each takes.
+        // There are far more columns than parameters: multiplying by the root of the inverse is
+        // much faster than solving for each column.
         let root = |matrix| ScaledFactor::of(matrix)?.root_of_inverse();
         let of_depth = root(&views.by_depth)?;
         let own = &of_depth * by_depth;

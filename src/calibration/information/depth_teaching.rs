@@ -1,13 +1,13 @@
-//! What a session's views have taught of the depth camera beside color: of its lens, its pose and
-//! its error, and of where color sees what it measures. Follows from the frames alone, as what
-//! color has been taught.
+//! The information in a session's views about the depth camera beside color: its lens, its pose,
+//! its depth error, and where color sees the points that it measures. Like the information about
+//! color, it depends on the frames alone.
 //!
-//! The depth camera is fitted anew whenever the views with depth have grown by a third or color's
-//! lens was estimated anew, with color's poses held as well as their corners hold them; in between
-//! information only adds up.
+//! The depth camera is fitted anew whenever the views with depth have grown by a third, or color's
+//! lens was estimated anew. In that fit, color's corners constrain the boards' poses. In between,
+//! views only add information.
 //!
-//! Once its infrared image shows three boards, its lens and pose are where corners have them, as
-//! in the solve, and planes teach the error in depth alone.
+//! Once its infrared camera has seen three boards, corners determine lens and pose, as in the
+//! solve, and planes only the depth error.
 
 use nalgebra::{DMatrix, Point3};
 
@@ -32,31 +32,32 @@ use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
 use crate::imaging::depth_image::DepthImage;
 
-/// What the views of one camera teach of its depth.
+/// The information in one camera's views about its depth.
 #[derive(Debug, Clone)]
 pub struct DepthTeaching {
     target: Target,
     size: ImageSize,
     invalid: Option<u16>,
-    /// Its lens and pose were stated.
+    /// The device states its lens and pose.
     is_stated: bool,
     guess: PlacedDepth,
     depth: PlacedDepth,
     views: Vec<MeasuredView>,
     estimated_among: usize,
-    /// Color's lens at that estimate, and that of infrared where it counted.
+    /// Color's lens at that estimate, and that of infrared if it was used.
     estimated_beside: Option<(Lens, Option<Lens>)>,
-    /// What infrared, which measures depth, has been taught; `None` before it sees a board.
+    /// The information about the infrared camera that measures depth; `None` before it sees a
+    /// board.
     infrared: Option<Teaching>,
-    /// Its corners taught the depth camera's lens and pose at that estimate.
+    /// In that estimate, infrared corners determined the depth camera's lens and pose.
     by_infrared: bool,
-    /// By how much tiles scatter more than their readings do, and neighbors together.
+    /// As [`FittedDepth::scatter`].
     scatter: [f64; 2],
     pub(super) noise: DepthTileNoise,
     now: Option<DepthNow>,
 }
 
-/// What is known by now.
+/// The present information, with the uncertainty that it leaves.
 #[derive(Debug, Clone)]
 pub(super) struct DepthNow {
     pub(super) known: DepthInformation,
@@ -65,25 +66,25 @@ pub(super) struct DepthNow {
     pub(super) std_px: Vec<f64>,
 }
 
-/// What a board that nobody holds yet would teach.
+/// The information that is expected of a suggested view.
 pub(super) struct ExpectedView {
     /// Of color's lens.
     pub(super) of_color: DMatrix<f64>,
-    /// Of depth; `None` where it would see nothing of it.
+    /// Of depth; `None` where it would not be measured.
     pub(super) of_depth: Option<DepthNormal>,
-    /// The distance that it would measure, in meters.
+    /// The distance that depth would measure, in meters.
     pub(super) z_m: Option<f64>,
 }
 
-/// A board that nobody holds yet: where it would be before color, and what its corners would say
-/// in color's image and, where infrared sees it, in infrared's.
+/// A board to suggest: its pose in color, and the normal matrix of its corners in color and, if
+/// infrared sees it, in infrared.
 pub(super) struct BoardBefore<'a> {
     pub(super) color_from_board: &'a Pose,
     pub(super) in_color: &'a ViewNormal,
     pub(super) in_infrared: Option<&'a ViewNormal>,
 }
 
-/// What a depth camera is before a session, as far as anyone states it.
+/// A depth camera before a session, as far as the device states it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DeviceDepth {
     /// The size of its images.
@@ -96,21 +97,21 @@ pub struct DeviceDepth {
     pub factory: Option<PosedDepthLens>,
 }
 
-/// The solve takes as many views with depth.
+/// Views with depth that a fit needs, as in the solve.
 const LEAST_VIEWS: usize = 3;
-/// The depth camera is fitted anew when views have grown by this factor.
+/// The depth camera is fitted anew when its views have grown by this factor.
 const GROWTH: f64 = 1.3;
-/// The correction is meant to hold so many times nearer and farther than was seen.
+/// The correction is made for distances this many times nearer and farther than those seen.
 const BEYOND_SEEN: f64 = 4.0;
-/// The board's surface is measured this far past its outer corners, as in the solve …
+/// The board's surface is measured this far beyond its outer corners, as in the solve …
 const MARGIN_SQUARES: f64 = 0.8;
-/// … and only so far before them as long as nobody knows where that is.
+/// … but only this far inside them while its place in the depth image is uncertain.
 const UNKNOWN_MARGIN_SQUARES: f64 = -1.0;
-/// It is within so many standard deviations.
+/// The margin allows for this many standard deviations of that place.
 const CERTAIN: f64 = 2.0;
 
 impl DepthTeaching {
-    /// Nothing taught yet of a depth camera beside the one that `color` is of.
+    /// No information yet; `color` is the camera beside it.
     pub fn new(target: &Target, color: &Teaching, stated: &DeviceDepth) -> Self {
         let size = stated.size;
         let guess = || PosedDepthLens {
@@ -152,8 +153,8 @@ impl DepthTeaching {
         self.views.len()
     }
 
-    /// The board's surface in the depth image that was taken with `taught`; `None` where it was
-    /// not measured, which is remembered of its distance.
+    /// The board's surface in the depth image that was taken with `taught`; `None` where it was not
+    /// measured. Holes or a surface that is not flat are remembered for its distance.
     pub fn measure(
         &mut self,
         image: &DepthImage,
@@ -183,17 +184,17 @@ impl DepthTeaching {
         }
     }
 
-    /// Whether views say better than guesses where in the depth image a board is: only then is how
-    /// uncertain that is a number of the views, and not of what was taken for known before them.
+    /// Whether the views determine better than the initial guess where a board is in the depth
+    /// image. Only then does that uncertainty follow from the views, and not from the priors.
     pub fn is_placed(&self, color: &Teaching) -> bool {
         let newest = color.views().last();
         newest.is_some_and(|taught| self.fitted_margin_squares(color, taught).is_some())
     }
 
-    /// How far past its outer corners the board's surface is searched for, by how well it is known
-    /// where that is; `None` where the fit knows no better than the guess that it began with. A fit
-    /// of few views may be off by more than the board is wide: searched for there, the board would
-    /// never be found again.
+    /// How far beyond its outer corners the board's surface is searched for, depending on how well
+    /// its place is known; `None` where the fit is no better than the initial guess. A fit of few
+    /// views may be off by more than the board's width: searched for there, the board would never
+    /// be found again.
     fn margin_squares(&self, color: &Teaching, taught: &TaughtView) -> Option<f64> {
         if self.is_stated {
             return Some(MARGIN_SQUARES);
@@ -210,7 +211,7 @@ impl DepthTeaching {
         (margin > UNKNOWN_MARGIN_SQUARES).then_some(margin)
     }
 
-    /// The depth camera that a fit begins with: as stated, or one that sees what color sees.
+    /// The depth camera that a fit starts from: as stated, or with color's field of view.
     fn guess(&self, color: &Teaching) -> PosedDepthLens {
         let guess = self.guess.posed_lens();
         if self.is_stated {
@@ -219,8 +220,8 @@ impl DepthTeaching {
         PosedDepthLens { lens: same_view(color.lens(), color.size(), self.size), ..guess }
     }
 
-    /// What the corners `seen` by infrared in its image show, which is depth's image; `color` is
-    /// the camera beside it.
+    /// The information in the corners `seen` in the infrared image; depth and infrared share one
+    /// image geometry. `color` is the camera beside it.
     pub fn see(
         &mut self,
         seen: BoardView,
@@ -232,7 +233,7 @@ impl DepthTeaching {
         self.infrared.get_or_insert_with(nothing).view(taught.number, seen, blur_px)
     }
 
-    /// Takes a view in, which `color` has already as its `number`-th.
+    /// Adds a view, number `number` of `color`.
     pub fn add(&mut self, number: u32, view: BoardInDepth, color: &Teaching) {
         self.views.extend(view.surface.map(|surface| surface.numbered(number)));
         let infrared = self.infrared.as_mut().zip(view.infrared);
@@ -240,18 +241,18 @@ impl DepthTeaching {
         self.sum_up(color);
     }
 
-    /// Takes the view with this number out.
+    /// Removes the view with this number.
     pub fn remove(&mut self, number: u32) {
         self.views.retain(|view| view.number != number);
         self.infrared.iter_mut().for_each(|infrared| infrared.remove(number));
     }
 
-    /// What infrared has been taught, where its corners teach the depth camera's lens and pose.
+    /// The information about infrared, if its corners determine the depth camera's lens and pose.
     pub(super) fn infrared(&self) -> Option<&Teaching> {
         self.infrared.as_ref().filter(|_| self.by_infrared)
     }
 
-    /// Takes in what `color` has been taught meanwhile.
+    /// Updates the estimate and the information after views were added to `color`.
     pub fn sum_up(&mut self, color: &Teaching) {
         let count = self.views.len();
         let grown = count as f64 >= GROWTH * self.estimated_among as f64;
@@ -264,14 +265,14 @@ impl DepthTeaching {
     }
 
     /// The 1-σ uncertainty of where color sees what depth measures at the distances seen: the
-    /// session's figure over the depth image, in pixels of color. `None` as long as fewer than
-    /// three views have depth.
+    /// session's figure over the depth image, in pixels of color. `None` before the first fit,
+    /// which needs three views with depth.
     pub fn uncertainty_px(&self) -> Option<f64> {
         let now = self.now.as_ref().filter(|_| self.estimated_among > 0)?;
         Some(now.goal.figure_px(&now.std_px))
     }
 
-    /// The same with one more view that teaches of color's lens alone.
+    /// The same with one more view that only adds information on color's lens.
     pub fn uncertainty_beside(&self, of_color: &DMatrix<f64>) -> Option<f64> {
         let now = self.now.as_ref().filter(|_| self.estimated_among > 0)?;
         let fits = of_color.nrows() == now.known.free.len();
@@ -279,26 +280,27 @@ impl DepthTeaching {
         Some(now.goal.figure_px(&now.goal.std_px(&after)?))
     }
 
-    /// What is known; `None` as long as nothing is.
+    /// The present information; `None` before the first view with depth.
     pub fn information(&self) -> Option<&DepthInformation> {
         self.now.as_ref().map(|now| &now.known)
     }
 
-    /// How much surer that would be with one more view: the mean over the image of the relative
-    /// drop of its standard deviation, 0 to 1. One without depth teaches of color's lens alone.
+    /// How much one more view would lower that uncertainty: the mean over the image of the relative
+    /// drop of the standard deviation, 0 to 1. A view without depth only adds information on
+    /// color's lens.
     pub fn gain(&self, taught: &TaughtView, view: &BoardInDepth) -> f64 {
         let Some((now, after)) = self.after(taught, view) else { return 0.0 };
         let drops = now.std_px.iter().zip(&after).map(|(now, after)| 1.0 - after / now);
         drops.sum::<f64>() / now.std_px.len() as f64
     }
 
-    /// By how much the goal's criterion would fall with one more view, 0 to 1.
+    /// How much one more view would lower the goal's criterion, relatively, 0 to 1.
     pub fn drop(&self, taught: &TaughtView, view: &BoardInDepth) -> f64 {
         let after = self.after(taught, view);
         after.map_or(0.0, |(now, after)| now.drop(&after))
     }
 
-    /// As [`Self::drop`], of a board that nobody holds yet.
+    /// The information that is expected of a suggested view.
     pub(super) fn expected(
         &self,
         color: &Teaching,
@@ -315,13 +317,14 @@ impl DepthTeaching {
         Some(ExpectedView { of_color, z_m: z_m.filter(|_| of_depth.is_some()), of_depth })
     }
 
-    /// The nearest and the farthest distance that boards were measured at; `None` before the first.
+    /// The nearest and the farthest distance at which boards were measured; `None` before the
+    /// first.
     pub(super) fn seen_m(&self) -> Option<[f64; 2]> {
         let of = |of: fn(f64, f64) -> f64| self.views.iter().map(|view| view.z_m).reduce(of);
         Some([of(f64::min)?, of(f64::max)?])
     }
 
-    /// What is to be known where boards are seen from the nearest to the farthest of `seen_m`.
+    /// The goal for boards from the nearest to the farthest of `seen_m`.
     pub(super) fn goal(
         &self,
         color: &Teaching,
@@ -367,8 +370,8 @@ impl DepthTeaching {
         )
     }
 
-    /// What one view says of depth: by the corners that color sees and, where they count, those
-    /// that infrared sees, and by some tiles of the board's surface.
+    /// What one view adds for depth: by color's corners, by infrared's corners where they are used,
+    /// and by a sample of tiles on the board's surface.
     fn normal(
         &self,
         known: &DepthInformation,
@@ -377,7 +380,7 @@ impl DepthTeaching {
     ) -> Option<DepthNormal> {
         let centered = Pose::new(color_from_board.rotation(), color.middle_in_camera);
         let [tile_scatter, together] = self.scatter.map(|scatter| scatter * scatter);
-        // Where corners teach lens and pose, theirs is no scatter of planes.
+        // Corners determine lens and pose, so the inflation applies to the planes only.
         let variance = if self.by_infrared { tile_scatter * together } else { tile_scatter };
         let planes =
             surface.and_then(|tiles| PlaneNormal::of(&self.depth, &centered, tiles, variance));
@@ -415,13 +418,13 @@ impl DepthTeaching {
         self.infrared.as_ref()?.views().iter().find(|view| view.number == taught.number)
     }
 
-    /// Infrared, where it has seen enough for its lens to be known by its corners.
+    /// Infrared, if it has enough views for its corners to determine its lens.
     fn usable_infrared(&self) -> Option<&Teaching> {
         let infrared = self.infrared.as_ref()?;
         (infrared.is_estimated() && infrared.views().len() >= LEAST_VIEWS).then_some(infrared)
     }
 
-    /// The depth camera's lens and pose as corners have them.
+    /// The depth camera's lens and pose from infrared corners.
     fn posed_by_infrared(&self, color: &Teaching) -> Option<PosedDepthLens> {
         let infrared = self.usable_infrared()?;
         let both = color.views().iter().filter_map(|taught| {
@@ -433,7 +436,7 @@ impl DepthTeaching {
         Some(PosedDepthLens { lens: *infrared.lens(), depth_from_color })
     }
 
-    /// Each view with what color saw in it.
+    /// Each view with depth, paired with its color view.
     fn with_color<'a>(
         &'a self,
         color: &'a Teaching,
@@ -456,7 +459,7 @@ impl DepthTeaching {
             start = start.with_open_lens();
         }
         self.estimated_beside = Some((*color.lens(), by_infrared.map(|posed| posed.lens)));
-        // As well as corners alone have it.
+        // The prior is what corners alone determine.
         self.depth = start.clone();
         let mut known = DepthInformation::prior(color.known(), &start);
         for taught in color.views().iter().filter(|_| self.by_infrared) {

@@ -1,5 +1,5 @@
-//! What a depth camera would measure of a board that nobody holds yet: where, how exactly, and
-//! whether at all.
+//! The expected measurement of a suggested board by a depth camera: where, how accurately, and
+//! whether it is possible.
 
 use nalgebra::Point3;
 
@@ -10,48 +10,50 @@ use crate::geometry::median::median;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
 
-/// What views show of a depth camera's readings.
+/// The noise of a depth camera's readings, estimated from views.
 #[derive(Debug, Clone, Default)]
 pub struct DepthTileNoise {
-    /// ln of the distance in meters, and of a reading's standard deviation in 1/z, view by view.
+    /// View by view: ln of the distance in meters, and ln of a reading's standard deviation in 1/z.
     seen: Vec<[f64; 2]>,
     /// The line through them.
     line: Option<NoiseLine>,
-    /// ln of distances at which a board in view was not measured.
+    /// ln of the distances at which a board in view could not be measured.
     missed: Vec<f64>,
 }
 
-/// ln of a reading's standard deviation in 1/z, as a line over ln of the distance in meters.
+/// ln of a reading's standard deviation in 1/z as a linear function of ln of the distance in
+/// meters.
 #[derive(Debug, Clone, Copy)]
 struct NoiseLine {
-    /// A point of the line: the mean of the views.
+    /// The mean of the views, which is a point on the line.
     mean: [f64; 2],
     slope: f64,
 }
 
 /// A reading's standard deviation in 1/z before any view: that of a stereo camera with a focal
-/// length times a baseline of 30 px m and a tenth of a pixel.
+/// length times baseline of 30 px m and a disparity error of a tenth of a pixel.
 const UNSEEN_STD_PER_M: f64 = 0.003;
-/// σ(1/z) ∝ z^slope: 0 for triangulation, −2 for a time of flight.
+/// Bounds of the slope in σ(1/z) ∝ z^slope: 0 for triangulation, −2 for time of flight.
 const SLOPES: [f64; 2] = [-2.5, 1.0];
-/// Fewer views, or distances that differ by less than this factor, show no slope.
+/// Fewer views, or distances that differ by less than this factor, do not determine the slope.
 const LEAST_DISTANCES: usize = 5;
 const LEAST_RANGE: f64 = 1.3;
-/// Distances nearer to each other than this part are the same.
+/// Distances with a smaller relative difference are the same.
 const SAME_DISTANCE: f64 = 0.02;
-/// Across and down the board.
+/// Tiles of the sample, across and down the board.
 const ACROSS: [u32; 2] = [6, 4];
-/// As the solve measures: tiles in a view, their sides in pixels, and by how many squares the
-/// surface reaches past the outer corners.
+/// As in the solve: tiles per view, bounds of their sides in pixels, and how many squares the
+/// surface extends beyond the outer corners.
 const TILES: f64 = 150.0;
 const SIDES_PX: [f64; 2] = [6.0, 48.0];
 const MARGIN_SQUARES: f64 = 0.8;
-/// A plane takes so many tiles.
+/// The least number of tiles for a plane.
 const LEAST_TILES: f64 = 6.0;
 
 impl DepthTileNoise {
-    /// What the tiles of views show, each with the distance of its board in meters. What was not
-    /// measured before is forgotten: it may have been searched for in the wrong place.
+    /// Learns from the tiles of views, each with the distance of its board in meters. Distances at
+    /// which boards were missed before are forgotten: the boards may have been searched for in the
+    /// wrong place.
     pub fn learn<'a>(&mut self, views: impl Iterator<Item = (f64, &'a [DepthTile])>) {
         let of_view = |(z_m, tiles): (f64, &[DepthTile])| {
             let std = median(tiles.iter().map(|tile| tile.reading_std).collect())?;
@@ -76,7 +78,7 @@ impl DepthTileNoise {
         self.line = (!self.seen.is_empty()).then_some(NoiseLine { mean, slope });
     }
 
-    /// A board in view at this distance was not measured.
+    /// Records that a board in view at this distance was not measured.
     pub fn miss(&mut self, z_m: f64) {
         let is_known = |known: &f64| (z_m.ln() - known).abs() < SAME_DISTANCE;
         if z_m > 0.0 && !self.missed.iter().any(is_known) {
@@ -91,7 +93,7 @@ impl DepthTileNoise {
         })
     }
 
-    /// Whether what was seen at the nearest distance was measured.
+    /// Whether a board at the nearest distance on record was measured.
     fn is_measured(&self, z_m: f64) -> bool {
         let off = |known: f64| (known - z_m.ln()).abs();
         let nearest =
@@ -100,7 +102,7 @@ impl DepthTileNoise {
         measured <= nearest(&mut self.missed.iter().copied()) || self.seen.is_empty()
     }
 
-    /// A few tiles that stand for those of a board there; `None` where depth would not measure it.
+    /// A sample of the tiles of a board there; `None` where depth would not measure it.
     pub fn expected(
         &self,
         depth: &PlacedDepth,

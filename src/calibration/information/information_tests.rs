@@ -1,5 +1,5 @@
-//! Information against numeric derivatives, against solves with one view more, and suggestions on
-//! cameras whose truth is known.
+//! Tests of the information: compared with numeric derivatives, and with solves with one view more;
+//! and of suggestions, for cameras with known ground truth.
 
 use nalgebra::{DMatrix, Point3, UnitQuaternion, Vector3};
 
@@ -162,7 +162,7 @@ fn the_covariance_with_one_more_view_is_that_of_the_solve_with_it() {
         fewer.views.truncate(12);
         let (before, after) = (solved(&fewer, lens.model()), solved(&all, lens.model()));
         let known = LensInformation::of_estimate(&before).unwrap();
-        // The view as the later solve places it, with the noise that the earlier one found.
+        // The view at its pose from the later solve, with the noise from the earlier one.
         let placed = CameraEstimate { lens: before.lens, ..after.clone() };
         let more = information_in(&placed, &known.free, &all.views[12], &after.views[12]).unwrap();
         let scale = (after.noise / before.noise).powi(2);
@@ -190,7 +190,7 @@ fn of_equal_views_the_uncertainty_falls_with_the_root_of_their_number() {
     assert!((one / four - 2.0).abs() < 1e-9, "{one} {four}");
 }
 
-/// Where the board may be held before a camera with this lens.
+/// The candidate poses of the board for a camera with this lens.
 fn space<'a>(lens: &'a Lens, board: &'a BoardPoints, noise: &'a CornerNoise) -> CandidateSpace<'a> {
     CandidateSpace {
         lens,
@@ -326,7 +326,7 @@ fn movements_are_named_by_what_is_seen_in_the_image() {
     };
     let here = at([0.0; 3], [0.0, 0.0, 0.6]);
     for (rotation, place, words) in [
-        // Rotated about the image's x by a positive angle, the lower side goes away (y × z = x).
+        // Rotated about the image's x by a positive angle, the lower side moves away (y × z = x).
         ([0.5, 0.0, 0.0], [0.0, 0.0, 0.6], "tilt its top towards the camera"),
         ([-0.5, 0.0, 0.0], [0.0, 0.0, 0.6], "tilt its bottom towards the camera"),
         ([0.0, 0.5, 0.0], [0.0, 0.0, 0.6], "tilt its right side towards the camera"),

@@ -1,5 +1,5 @@
-//! What the corners that infrared sees say of the depth camera whose image it is, and of where the
-//! board is: the normal equations of one view over the same parameters as those of its planes.
+//! What the corners in infrared add for the depth camera with the same image geometry, and for the
+//! board's pose: the normal equations of one view over the same parameters as those of its planes.
 
 use nalgebra::{DMatrix, Matrix6, Vector3};
 
@@ -7,21 +7,21 @@ use crate::calibration::information::pair_information::RelativeMotion;
 use crate::calibration::information::view_information::ViewNormal;
 use crate::estimation::rgbd::plane_information::PlacedDepth;
 
-/// The normal matrix of one view over the depth camera's parameters and the board's pose, which is
-/// a step of where the board is before color.
+/// The normal matrix of one view over the depth camera's parameters and the board's pose, where the
+/// pose is a step of the board's pose in color.
 #[derive(Debug, Clone, PartialEq)]
 pub struct InfraredNormal {
-    /// Over the depth camera's parameters; nothing is said of its correction.
+    /// Over the depth camera's parameters; zero for its correction.
     pub by_depth: DMatrix<f64>,
-    /// Depth camera by pose.
+    /// Depth camera × pose.
     pub coupling: DMatrix<f64>,
     /// Over the pose.
     pub by_pose: Matrix6<f64>,
 }
 
 impl InfraredNormal {
-    /// That of a view whose corners have the normal matrix `infrared` in the infrared image, the
-    /// pose being about `middle_in_color`.
+    /// From the normal matrix `infrared` of a view's corners in the infrared image; the pose is
+    /// about `middle_in_color`.
     pub fn of(depth: &PlacedDepth, middle_in_color: &Vector3<f64>, infrared: &ViewNormal) -> Self {
         let middles = [middle_in_color, &infrared.middle_in_camera];
         let RelativeMotion { by_place, by_board } =

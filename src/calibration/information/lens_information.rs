@@ -1,4 +1,4 @@
-//! What is known of a lens: the inverse of its covariance, to which views add.
+//! The information on a lens, which is the inverse of its covariance; views add to it.
 
 use nalgebra::DMatrix;
 
@@ -7,31 +7,31 @@ use crate::estimation::scaled_factor::scaled_inverse;
 use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pixel::ImageSize;
 
-/// What is known of the free parameters of a lens.
+/// The information on the free parameters of a lens.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LensInformation {
     /// The lens, as far as it is known.
     pub lens: Lens,
-    /// The parameters that are open, by their index in [`Lens::parameters`].
+    /// The free parameters, as indices into [`Lens::parameters`].
     pub free: Vec<usize>,
     /// The inverse of their covariance.
     pub matrix: DMatrix<f64>,
 }
 
-/// Of a camera that nothing is known of: the relative standard deviation of its focal length (of a
-/// telephone's lens and of a fisheye's about a webcam's) …
+/// Priors of an unknown camera: the relative standard deviation of its focal length (from telephoto
+/// to fisheye, around a webcam's) …
 const PRIOR_FOCAL: f64 = 0.4;
-/// … by how much fx and fy differ, relative to them (pixels are square to a few percent) …
+/// … of the relative difference of fx and fy (pixels are square to a few percent) …
 const PRIOR_ASPECT: f64 = 0.02;
-/// … of its principal point, relative to the image's width …
+/// … of its principal point, relative to the longer side of the image …
 const PRIOR_PRINCIPAL_POINT: f64 = 0.05;
 /// … and of radial and tangential coefficients.
 const PRIOR_RADIAL: f64 = 0.3;
 const PRIOR_TANGENTIAL: f64 = 0.003;
 
 impl LensInformation {
-    /// What is known before any image of a camera with this lens: about where cameras' lenses
-    /// lie. It is weak enough that a few views outweigh it, and keeps every uncertainty finite.
+    /// The prior before any image, about what cameras' lenses are like. It is weak enough that a
+    /// few views outweigh it, and keeps every uncertainty finite.
     pub fn prior(lens: Lens, size: ImageSize) -> Self {
         let model = lens.model();
         let free = open_parameters(model);
@@ -46,7 +46,7 @@ impl LensInformation {
         for (at, index) in free.iter().enumerate().skip(2) {
             matrix[(at, at)] = std(names[*index]).powi(-2);
         }
-        // The covariance of fx = f (1 + a / 2) and fy = f (1 − a / 2), inverted.
+        // The inverse of the covariance of fx = f (1 + a / 2) and fy = f (1 − a / 2).
         let (common, differing) =
             ((PRIOR_FOCAL * focal_px).powi(2), (0.5 * PRIOR_ASPECT * focal_px).powi(2));
         let (own, shared) = (common + differing, common - differing);
@@ -57,8 +57,8 @@ impl LensInformation {
         Self { lens, free, matrix }
     }
 
-    /// What an estimate says: the inverse of its covariance, with everything that widened it.
-    /// `None` where nothing is open or the covariance cannot be inverted.
+    /// The information in an estimate: the inverse of its covariance, all variance inflation
+    /// included. `None` where no parameter is free or the covariance cannot be inverted.
     pub fn of_estimate(estimate: &CameraEstimate) -> Option<Self> {
         let covariance = &estimate.lens_covariance;
         let free: Vec<usize> =
@@ -77,24 +77,24 @@ impl LensInformation {
         Self { matrix: &self.matrix + view, ..self.clone() }
     }
 
-    /// The covariance of all of the lens's parameters, in the order of [`Lens::parameter_names`];
-    /// zero rows for those that are not open. `None` where it is not determined.
+    /// The covariance of all of the lens's parameters, in the order of [`Lens::parameter_names`],
+    /// with zero rows for fixed ones. `None` where it is not determined.
     pub fn covariance(&self) -> Option<DMatrix<f64>> {
         over_all(&self.lens, &self.free, &scaled_inverse(&self.matrix)?)
     }
 
-    /// As [`Self::covariance`], with the information of `view` in it.
+    /// As [`Self::covariance`], with the information of `view` added.
     pub fn covariance_with(&self, view: &DMatrix<f64>) -> Option<DMatrix<f64>> {
         over_all(&self.lens, &self.free, &scaled_inverse(&(&self.matrix + view))?)
     }
 }
 
-/// All parameters of a model but skew, which is 0 unless asked for.
+/// All parameters of a model except skew, which is 0 unless asked for.
 pub fn open_parameters(model: LensModel) -> Vec<usize> {
     (0..Lens::parameter_names(model).len()).filter(|index| *index != Lens::SKEW).collect()
 }
 
-/// A covariance of the free parameters as one of all; `None` where it is not finite.
+/// Expands a covariance of the free parameters to all parameters; `None` where it is not finite.
 fn over_all(lens: &Lens, free: &[usize], of_free: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let count = lens.parameters().len();
     let mut covariance = DMatrix::zeros(count, count);

@@ -1,5 +1,5 @@
-//! How to get the board from where it is to where it should be, in words: one movement at a time,
-//! the greatest first. Left and right, up and down are the image's; a rotation is as seen in it.
+//! How to move the board from its pose to another one, in words: one movement at a time, the
+//! greatest first. Left, right, up, down and rotations are as seen in the image.
 
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 
@@ -7,38 +7,39 @@ use crate::calibration::information::candidate_views::CandidateSpace;
 use crate::geometry::pixel::Pixel;
 use crate::geometry::pose::Pose;
 
-/// How a board is held before a camera.
+/// How a board is held in front of a camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Held {
-    /// Where its middle is seen.
+    /// The pixel of its middle.
     pub middle: Pixel,
-    /// How far away that is, in meters.
+    /// The distance of its middle, in meters.
     pub distance_m: f64,
-    /// The slopes of its normal to the line of sight, in radians: x > 0 when its right side is
+    /// The angles of its normal to the line of sight, in radians: x > 0 when its right side is
     /// nearer, y > 0 when its lower side is.
     pub tilt: Vector2<f64>,
     /// The direction of its rows in the image, in radians from the image's x.
     pub roll: f64,
 }
 
-/// Differences that count as one step each: a part of the image's diagonal, the logarithm of a
-/// distance, angles in radians. A view one step off teaches nearly what was asked for.
+/// Differences that count as one step each: a fraction of the image's diagonal, the logarithm of a
+/// distance, angles in radians. A view one step off adds nearly as much information as the
+/// suggested one.
 const MIDDLE_STEP: f64 = 0.10;
 const DISTANCE_STEP: f64 = 0.20;
 const TILT_STEP: f64 = 0.20;
 const ROLL_STEP: f64 = 0.35;
-/// Within so many steps in each respect the board is where it should be.
+/// The board is in place when it is within this many steps in each respect.
 const ARRIVED: f64 = 1.0;
 
 impl Held {
-    /// How a board at `camera_from_board` is held; `None` where its middle is not seen.
+    /// How a board at `camera_from_board` is held; `None` where its middle is not visible.
     pub fn of(space: &CandidateSpace<'_>, camera_from_board: &Pose) -> Option<Self> {
         let middle_in_camera = *camera_from_board * space.board.middle();
         let line_of_sight = middle_in_camera.coords.try_normalize(1e-12)?;
         let camera_from_facing = UnitQuaternion::rotation_between(&Vector3::z(), &line_of_sight)?;
         let facing_from_board = camera_from_facing.inverse() * camera_from_board.rotation();
         let (row, normal) = (facing_from_board * Vector3::x(), facing_from_board * Vector3::z());
-        // A frame whose z points at the camera, as Kalibr's, has its normal reversed.
+        // If z points at the camera, as in Kalibr's frames, the normal is reversed.
         let away = normal * normal.z.signum();
         Some(Self {
             middle: space.lens.pixel_from_point(&middle_in_camera)?,
@@ -49,8 +50,8 @@ impl Held {
     }
 }
 
-/// The next movement from one pose to another, as a sentence without its end; `None` when the board
-/// is about there.
+/// The next movement from one pose to another, as a sentence without its end; `None` if the board
+/// is nearly there.
 pub fn next_movement(
     space: &CandidateSpace<'_>,
     here_from_board: &Pose,
@@ -79,7 +80,8 @@ pub fn next_movement(
     (greatest.0 > ARRIVED).then_some(greatest.1)
 }
 
-/// Where a board should be held, as a sentence without its end, for someone who shows none yet.
+/// Where a board should be held, as a sentence without its end, for an operator whose board is not
+/// in view.
 pub fn description(space: &CandidateSpace<'_>, there_from_board: &Pose) -> Option<String> {
     let there = Held::of(space, there_from_board)?;
     let part = [
@@ -101,7 +103,7 @@ pub fn description(space: &CandidateSpace<'_>, there_from_board: &Pose) -> Optio
     Some(format!("hold the board {place}, {tilt}"))
 }
 
-/// The side of the board that a tilt brings nearer.
+/// The side of the board that this tilt brings nearer.
 pub fn side(tilt: Vector2<f64>) -> &'static str {
     match (tilt.x.abs() > tilt.y.abs(), tilt.x > 0.0, tilt.y > 0.0) {
         (true, true, _) => "right side",
@@ -112,7 +114,7 @@ pub fn side(tilt: Vector2<f64>) -> &'static str {
 }
 
 fn direction(displacement: Vector2<f64>) -> String {
-    // Eight directions: the lesser component counts from tan 22.5° on.
+    // Eight directions: the smaller component is named if it exceeds tan 22.5° times the larger.
     const LESSER: f64 = 0.414;
     let across = if displacement.x > 0.0 { "to the right" } else { "to the left" };
     let down = if displacement.y > 0.0 { "down" } else { "up" };

@@ -1,5 +1,5 @@
-//! The next view to ask for so that color knows where it sees what depth measures: the one that
-//! lowers that uncertainty most.
+//! The next view to suggest for the depth camera: the one that most lowers the uncertainty of where
+//! color sees what depth measures.
 
 use std::rc::Rc;
 
@@ -16,14 +16,14 @@ use crate::calibration::information::view_search::{
 };
 use crate::geometry::pose::Pose;
 
-/// Where the board should be before color.
+/// The suggested pose of the board in color.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NextDepthView {
     /// Where.
     pub camera_from_board: Pose,
-    /// What color would learn of its own lens: the view's normal matrix.
+    /// The view's normal matrix in color, for the information about color's own lens.
     pub normal: ViewNormal,
-    /// The figure of depth's pixels in color now, in pixels of color.
+    /// The present uncertainty of depth's pixels in color, in pixels of color.
     pub uncertainty_px: f64,
     /// The same after that view.
     pub expected_uncertainty_px: f64,
@@ -37,17 +37,17 @@ pub struct NextDepthView {
 const SIZE: SearchSize =
     SearchSize { sequence: 80, in_corners: 12, refined: [(10, 0.12), (10, 0.05)] };
 
-/// What a depth camera beside color is to be known by.
+/// The search of a view for depth beside color.
 struct DepthLesson<'a> {
     depth: &'a DepthTeaching,
     known: KnownDepth,
     color: &'a Teaching,
     space: &'a CandidateSpace<'a>,
-    /// Where infrared can see boards, where its corners count.
+    /// The candidate space of infrared, if its corners are used.
     infrared: Option<&'a CandidateSpace<'a>>,
 }
 
-/// What is known of depth, and what is to be known of it.
+/// The information on depth, and the goal.
 #[derive(Clone)]
 struct KnownDepth {
     information: DepthInformation,
@@ -56,11 +56,11 @@ struct KnownDepth {
     seen_m: [f64; 2],
 }
 
-/// A board before color.
+/// A board in front of color.
 struct BeforeColor {
     camera_from_board: Pose,
     normal: ViewNormal,
-    /// The same before infrared, where it sees the board.
+    /// Its normal matrix in infrared, if infrared sees it.
     in_infrared: Option<ViewNormal>,
 }
 
@@ -69,7 +69,7 @@ impl Lesson for DepthLesson<'_> {
     type Information = ExpectedView;
     type Known = KnownDepth;
 
-    /// As many as sessions take from where this is said.
+    /// About as many views as sessions take once the count is shown.
     const COMING: usize = 5;
 
     fn known(&self) -> &KnownDepth {
@@ -110,8 +110,8 @@ impl Lesson for DepthLesson<'_> {
         Some(LessonFigures { figure, criterion })
     }
 
-    /// A board that is nearer or farther than any before adds the depth there: nearer ones teach
-    /// more, and are asked for.
+    /// A board nearer or farther than any before extends the goal to that distance. Nearer boards
+    /// add more information, so they are suggested.
     fn kept(&self, known: KnownDepth, view: &ExpectedView) -> KnownDepth {
         let [near_m, far_m] = known.seen_m;
         let beyond = view.z_m.filter(|z_m| !(near_m..=far_m).contains(z_m));
@@ -131,8 +131,8 @@ impl Lesson for DepthLesson<'_> {
     }
 }
 
-/// The next view to ask for; `color` is what depth was taught beside, and `goal_px` the figure to
-/// reach. `None` as long as nothing is known of depth, or where no view can be asked for.
+/// The next view to suggest. `color` is the camera beside depth, and `goal_px` the uncertainty to
+/// reach. `None` while there is no information on depth, or where no view can be suggested.
 pub fn suggest_depth_view(
     depth: &DepthTeaching,
     color: &Teaching,

@@ -1,4 +1,4 @@
-//! The next view to ask for that two cameras share: the one that lowers most how uncertain it is
+//! The next view to suggest that two cameras share: the one that most lowers the uncertainty of
 //! where the second camera sees what the first one sees.
 
 use nalgebra::{DMatrix, Point3};
@@ -12,14 +12,14 @@ use crate::calibration::information::view_search::{
 };
 use crate::geometry::pose::Pose;
 
-/// Where the board should be before two cameras.
+/// The suggested pose of the board in two cameras.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SharedView {
-    /// Before the first and the second.
+    /// Its pose in the first and in the second camera.
     pub camera_from_board: [Pose; 2],
-    /// What each camera would learn of its own lens: the view's normal matrix.
+    /// The view's normal matrix in each camera, for the information about that camera's own lens.
     pub normals: [ViewNormal; 2],
-    /// The figure of transferred pixels now, in pixels of the second camera.
+    /// The present uncertainty of transferred pixels, in pixels of the second camera.
     pub uncertainty_px: f64,
     /// The same after that view.
     pub expected_uncertainty_px: f64,
@@ -30,18 +30,18 @@ pub struct SharedView {
     pub views_to_go: Option<[u32; 2]>,
 }
 
-/// Many candidates of one camera are out of the other one's image.
+/// Many candidates of one camera are outside the other camera's image.
 const SIZE: SearchSize =
     SearchSize { sequence: 80, in_corners: 12, refined: [(8, 0.12), (8, 0.05)] };
 
-/// What two cameras are to be known by.
+/// The search of a view for two cameras.
 struct PairLesson<'a> {
     known: &'a PairInformation,
     goal: &'a TransferGoal,
     spaces: [&'a CandidateSpace<'a>; 2],
 }
 
-/// A board before both.
+/// A board in front of both.
 struct BeforeBoth {
     camera_from_board: [Pose; 2],
     normals: [ViewNormal; 2],
@@ -93,9 +93,8 @@ impl Lesson for PairLesson<'_> {
     }
 }
 
-/// The next view to ask for of what both cameras see; `from` is where the board is now before the
-/// first camera, and `goal_px` the figure to reach. `None` where no view of the board is seen by
-/// both.
+/// The next shared view to suggest; `from` is the present pose of the board in the first camera,
+/// and `goal_px` the uncertainty to reach. `None` where no view of the board is visible in both.
 pub fn suggest_shared_view(
     known: &PairInformation,
     goal: &TransferGoal,

@@ -1,5 +1,5 @@
-//! The next view to ask for that teaches one camera's lens: the one that lowers most how uncertain
-//! projections are.
+//! The next view to suggest for one camera's lens: the one that most lowers the uncertainty of
+//! projections.
 
 use nalgebra::{DMatrix, Point3};
 
@@ -14,34 +14,33 @@ use crate::estimation::uncertainty::CompensatedSamples;
 use crate::geometry::pixel::Pixel;
 use crate::geometry::pose::Pose;
 
-/// A view to ask for.
+/// A suggested view.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SuggestedView {
-    /// Where the board should be.
+    /// The board's pose.
     pub camera_from_board: Pose,
-    /// Where its outer corners would be seen: the one at the board's least x and y first, then
-    /// along x.
+    /// The pixels of its outer corners: the one at the board's least x and y first, then along x.
     pub outline_px: [Pixel; 4],
     /// The goal's figure now, in pixels.
     pub uncertainty_px: f64,
-    /// The same after that view; `None` as long as nobody knows where the depth camera beside this
-    /// one is.
+    /// The same after that view; `None` while the pose of the depth camera beside this one is
+    /// unknown.
     pub expected_uncertainty_px: Option<f64>,
-    /// By how much the goal's criterion would fall, as [`ProjectionGoal::drop`] has it.
+    /// The relative drop of the goal's criterion, as in [`ProjectionGoal::drop`].
     pub drop: f64,
-    /// What it would add to what is known of the lens.
+    /// The information on the lens that it would add.
     pub information: DMatrix<f64>,
-    /// How many more views reach the goal: as few as this if each is as suggested, as many as that
-    /// if each teaches a quarter as much. `None` without a goal.
+    /// How many more views reach the goal: the first number if each is as suggested, the second if
+    /// each adds a quarter of that information. `None` without a goal.
     pub views_to_go: Option<[u32; 2]>,
-    /// It is asked for on behalf of a depth camera beside this one, which is known less.
+    /// It is suggested for the depth camera beside this one, whose uncertainty is larger.
     pub is_for_depth: bool,
 }
 
 const SIZE: SearchSize =
     SearchSize { sequence: 112, in_corners: 24, refined: [(12, 0.12), (12, 0.05)] };
 
-/// What one camera's lens is to be known by.
+/// The search of a view for one camera's lens.
 struct LensLesson<'a> {
     known: &'a LensInformation,
     goal: &'a ProjectionGoal,
@@ -84,8 +83,8 @@ impl Lesson for LensLesson<'_> {
     }
 }
 
-/// The next view to ask for, with what is `known` of the lens; `from` is where the board is now and
-/// `goal_px` the figure to reach. `None` where no view of the board can be asked for.
+/// The next view to suggest, given what is `known` of the lens; `from` is the board's present pose,
+/// and `goal_px` the uncertainty to reach. `None` where no view of the board can be suggested.
 pub fn suggest_view(
     known: &LensInformation,
     goal: &ProjectionGoal,

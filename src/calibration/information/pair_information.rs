@@ -1,12 +1,12 @@
-//! What views that two cameras share say of both lenses and of the relative pose: the information
-//! matrix over the lenses of a and b and `b_from_a`, the board's pose eliminated.
+//! The information of shared views on two cameras: the information matrix over the lenses of a and
+//! b and over `b_from_a`, with the board's pose eliminated.
 //!
 //! ```text
 //! Λ = [Λ_a, Λ_b, 0] + Σ over shared views of (joint − [alone in a, alone in b, 0])
 //! ```
 //!
-//! Λ_a and Λ_b are what all views of each camera say of its lens, the shared ones among them; what
-//! a shared view says beyond that follows from the board being one and the same. The step of
+//! Λ_a and Λ_b are the information of all views of each camera on its own lens, shared views
+//! included. A shared view adds to that because both cameras see the same board. A step of
 //! `b_from_a` is a rotation about b's axes (radians, from the left) and a translation (meters), as
 //! in the solve of a rig.
 
@@ -18,20 +18,20 @@ use crate::estimation::scaled_factor::scaled_inverse;
 use crate::geometry::lens::MAX_PARAMETERS;
 use crate::geometry::pose::Pose;
 
-/// What is known of two cameras: the free parameters of the first lens, those of the second, and
-/// the relative pose, in this order.
+/// The information on two cameras, over the free parameters of the first lens, those of the second,
+/// and the relative pose, in this order.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PairInformation {
-    /// The parameters of each lens that are open.
+    /// The free parameters of each lens.
     pub free: [Vec<usize>; 2],
-    /// Where the first camera is, seen from the second, as far as it is known.
+    /// The estimated pose of the first camera in the second.
     pub b_from_a: Pose,
-    /// The inverse of their covariance.
+    /// The information matrix: the inverse of their covariance.
     pub matrix: DMatrix<f64>,
 }
 
 impl PairInformation {
-    /// Two lenses of which this much is known, and nothing yet of the relative pose but where
+    /// The information on two lenses, and none on the relative pose; `b_from_a` is where
     /// derivatives are taken.
     pub fn of_lenses([a, b]: [&LensInformation; 2], b_from_a: Pose) -> Self {
         let free = [a.free.clone(), b.free.clone()];
@@ -39,8 +39,8 @@ impl PairInformation {
         Self { free, b_from_a, matrix }
     }
 
-    /// What a view adds that both cameras see; `None` where the corners do not determine the
-    /// board's pose.
+    /// The information of a view that both cameras see; `None` where the corners do not determine
+    /// the board's pose.
     pub fn of_view(&self, [a, b]: [&ViewNormal; 2]) -> Option<DMatrix<f64>> {
         let middles = [&a.middle_in_camera, &b.middle_in_camera];
         let RelativeMotion { by_place, by_board } = RelativeMotion::of(&self.b_from_a, middles);
@@ -78,8 +78,8 @@ impl PairInformation {
         information.iter().all(|v| v.is_finite()).then_some(information)
     }
 
-    /// What a view adds that both cameras see beyond what each of them learns from it, which is
-    /// `alone`.
+    /// The information of a shared view beyond `alone`, the information that it gives about each
+    /// camera separately.
     pub fn beyond(
         &self,
         normals: [&ViewNormal; 2],
@@ -88,7 +88,7 @@ impl PairInformation {
         Some(self.of_view(normals)? - joined(alone))
     }
 
-    /// What a view of one camera alone, the first or the second, adds to what is known of both.
+    /// What a view of one camera alone, the first or the second, adds to the information on both.
     pub fn of_one(&self, camera: usize, information: &DMatrix<f64>) -> DMatrix<f64> {
         let counts = [self.free[0].len(), self.free[1].len()];
         let nothing = counts.map(|count| DMatrix::zeros(count, count));
@@ -98,24 +98,26 @@ impl PairInformation {
         }
     }
 
-    /// The covariance of the relative pose, the lenses unknown as far as they are; `None` where it
-    /// is not determined.
+    /// The covariance of the relative pose, with the lenses marginalized; `None` where it is not
+    /// determined.
     pub fn place_covariance(&self) -> Option<Matrix6<f64>> {
         let at = self.matrix.nrows() - 6;
         Some(scaled_inverse(&self.matrix)?.fixed_view::<6, 6>(at, at).into_owned())
     }
 }
 
-/// How a board moves in b: rotations are about the middle of the corners that b sees.
+/// Derivatives of the board's motion in b, whose rotations are about the middle of the corners that
+/// b sees.
 pub(super) struct RelativeMotion {
-    /// When `b_from_a` moves.
+    /// By a step of `b_from_a`.
     pub(super) by_place: Matrix6<f64>,
-    /// When the board moves in a, about the middle of the corners that a sees.
+    /// By a step of the board in a, whose rotations are about the middle of the corners that a
+    /// sees.
     pub(super) by_board: Matrix6<f64>,
 }
 
 impl RelativeMotion {
-    /// With the middle of the corners that each of a and b sees, in its own frame.
+    /// `in_a` and `in_b` are the middle of the corners that a and b see, each in its own frame.
     pub(super) fn of(b_from_a: &Pose, [in_a, in_b]: [&Vector3<f64>; 2]) -> Self {
         let rotation = b_from_a.rotation_matrix();
         let lever = in_b - b_from_a.translation();
@@ -129,7 +131,7 @@ impl RelativeMotion {
     }
 }
 
-/// Two matrices along the diagonal, and zeros for the relative pose.
+/// A block diagonal matrix of the two, with zeros for the relative pose.
 fn joined([a, b]: [&DMatrix<f64>; 2]) -> DMatrix<f64> {
     let (first, second) = (a.nrows(), b.nrows());
     let mut matrix = DMatrix::zeros(first + second + 6, first + second + 6);
@@ -138,7 +140,7 @@ fn joined([a, b]: [&DMatrix<f64>; 2]) -> DMatrix<f64> {
     matrix
 }
 
-/// `b_from_a` moved by a step of the relative pose.
+/// `b_from_a` after a step of the relative pose.
 pub fn stepped(b_from_a: &Pose, [rotation, translation]: [Vector3<f64>; 2]) -> Pose {
     let rotation = nalgebra::UnitQuaternion::from_scaled_axis(rotation);
     Pose::new(rotation * b_from_a.rotation(), b_from_a.translation() + translation)

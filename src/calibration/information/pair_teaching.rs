@@ -1,6 +1,6 @@
-//! What a session's views have taught of two cameras together: of their relative pose, and of
-//! where the second one sees what the first one sees. Follows from the frames alone, as what each
-//! camera by itself has been taught.
+//! The information in a session's views about a pair of cameras: their relative pose, and where the
+//! second one sees what the first one sees. Like the information about each camera, it depends on
+//! the frames alone.
 
 use nalgebra::DMatrix;
 
@@ -11,7 +11,7 @@ use crate::calibration::information::transfer_goal::TransferGoal;
 use crate::geometry::median::{median, median_pose};
 use crate::geometry::pose::Pose;
 
-/// What the views of two cameras teach of both.
+/// The information in the views of two cameras about the pair.
 #[derive(Debug, Clone)]
 pub struct PairTeaching {
     known: PairInformation,
@@ -22,9 +22,8 @@ pub struct PairTeaching {
 }
 
 impl PairTeaching {
-    /// What `cameras` know of each other from the views that they share, each as its number in the
-    /// first and in the second camera. `None` as long as a lens is not estimated, or no view is
-    /// shared.
+    /// The information in the shared views of `cameras`; each view is given by its number in the
+    /// first and in the second camera. `None` while a lens is not estimated, or no view is shared.
     pub fn of(cameras: [&Teaching; 2], shared: &[[u32; 2]]) -> Option<Self> {
         if !cameras.iter().all(|camera| camera.is_estimated()) {
             return None;
@@ -63,14 +62,14 @@ impl PairTeaching {
         &self.known
     }
 
-    /// The 1-σ uncertainty of where the second camera sees what the first one sees at the distance
-    /// of the shared views: the session's figure of it over the image, in pixels of the second.
+    /// The 1-σ uncertainty of where the second camera sees what the first one sees, at the distance
+    /// of the shared views: the session's figure over the image, in pixels of the second.
     pub fn uncertainty_px(&self) -> f64 {
         self.goal.figure_px(&self.now_px)
     }
 
-    /// How much surer that would be with one more view that both see: the mean over the image of
-    /// the relative drop of its standard deviation, 0 to 1.
+    /// How much one more shared view would lower that uncertainty: the mean over the image of the
+    /// relative drop of the standard deviation, 0 to 1.
     pub fn gain(&self, [a, b]: [&TaughtView; 2]) -> f64 {
         let information = self.known.of_view([a.normal(), b.normal()]);
         let after = information.and_then(|view| self.goal.std_px(&(&self.known.matrix + view)));
@@ -79,8 +78,8 @@ impl PairTeaching {
         drops.sum::<f64>() / self.now_px.len() as f64
     }
 
-    /// The relative drop, as [`SharedView::drop`] has it, with one more view of one of the cameras
-    /// alone, 0 to 1.
+    /// The relative drop, as in [`SharedView::drop`], with one more view of only one of the
+    /// cameras, 0 to 1.
     pub fn drop_of_one(&self, camera: usize, information: &DMatrix<f64>) -> f64 {
         if information.nrows() != self.known.free[camera].len() {
             return 0.0;
@@ -91,8 +90,8 @@ impl PairTeaching {
         after.map_or(0.0, |after| 1.0 - self.goal.criterion_px(&after) / now_px)
     }
 
-    /// The view to ask for next of those that both see, from where the last one of the first
-    /// camera was, with the figure to reach; `cameras` are those that this was made of.
+    /// The next shared view to suggest, with `goal_px` as the uncertainty to reach. The search
+    /// starts from the first camera's last view. `cameras` must be those that this was made of.
     pub fn suggest(&self, cameras: [&Teaching; 2], goal_px: Option<f64>) -> Option<SharedView> {
         let noises = cameras.map(Teaching::corner_noise);
         let spaces = [cameras[0].space(&noises[0], &[]), cameras[1].space(&noises[1], &[])];

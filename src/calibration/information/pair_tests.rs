@@ -1,5 +1,6 @@
-//! The information of two cameras against numeric derivatives and against the scatter of solves of
-//! simulated rigs, and views that both see on cameras whose truth is known.
+//! Tests of the information from two cameras: compared with numeric derivatives and with the
+//! scatter of solves of simulated rigs; and of suggested views that both cameras see, with known
+//! ground truth.
 
 use nalgebra::{DMatrix, DVector, Point3, UnitQuaternion, Vector3, Vector6};
 
@@ -43,7 +44,7 @@ fn space<'a>(lens: &'a Lens, board: &'a BoardPoints, noise: &'a CornerNoise) -> 
     }
 }
 
-/// Poses of the board before the first camera that both see whole.
+/// Poses of the board in which both cameras see all of it.
 fn shared_poses(lenses: [&Lens; 2], indices: impl Iterator<Item = usize>) -> Vec<Pose> {
     let (board, noise) = (BoardPoints::of_chessboard(&board()), CornerNoise::default());
     let spaces = lenses.map(|lens| space(lens, &board, &noise));
@@ -68,7 +69,7 @@ fn normals(lenses: [&Lens; 2], a_from_board: &Pose) -> [ViewNormal; 2] {
     ]
 }
 
-/// Both lenses and the relative pose after a step of what is known of the pair.
+/// Both lenses and the relative pose after a step of the pair's parameters.
 fn moved(known: &PairInformation, lenses: [&Lens; 2], step: &[f64]) -> ([Lens; 2], Pose) {
     let (of_a, rest) = step.split_at(known.free[0].len());
     let (of_b, of_pose) = rest.split_at(known.free[1].len());
@@ -125,7 +126,7 @@ fn what_a_shared_view_says_is_that_of_numeric_derivatives() {
                 - coupling * of_board.try_inverse().unwrap() * coupling.transpose();
             let [own, other] = normals(lenses, a_from_board);
             let information = known.of_view([&own, &other]).unwrap();
-            // Relative to what a parameter would be known to, the others given.
+            // Relative to the uncertainty of a parameter if the others were given.
             for (i, j) in (0..count).flat_map(|i| (0..count).map(move |j| (i, j))) {
                 let scale = (normal[(i, i)] * normal[(j, j)]).sqrt();
                 let difference = (information[(i, j)] - expected[(i, j)]).abs() / scale;
@@ -159,7 +160,7 @@ fn one_shared_view_says_of_the_lenses_what_two_separate_ones_say() {
     }
 }
 
-/// Where b sees what a sees at `pixel` and a distance.
+/// The pixel of b that sees the point which a sees at `pixel` and at a distance.
 fn transferred(
     [a, b]: [&Lens; 2],
     b_from_a: &Pose,
@@ -189,7 +190,7 @@ fn transfers_have_the_uncertainty_of_numeric_derivatives() {
             let at = |step: &[f64]| {
                 let (lenses, b_from_a) = moved(&known, [&a, &b], step);
                 let lenses = [&lenses[0], &lenses[1]];
-                // At the edge of a lens's valid region a step may leave it.
+                // At the edge of a lens's valid region, a step may leave the region.
                 let pixel = transferred(lenses, &b_from_a, pixel, 0.6);
                 pixel.map_or(vec![f64::NAN; 2], |pixel| vec![pixel.x, pixel.y])
             };
@@ -243,7 +244,7 @@ fn what_is_predicted_of_a_rig_is_what_its_solves_scatter_by() {
     const SEEDS: u64 = 40;
     let (a, b) = (lens(), lens());
     let poses = shared_poses([&a, &b], 0..90);
-    // Of 16 views four are shared, and six are seen by either camera alone.
+    // Of 16 views, four are shared, and six are seen by each camera alone.
     let seen: Vec<(Pose, [bool; 2])> = (poses.iter().take(16).enumerate())
         .map(|(k, pose)| (*pose, [k % 8 < 5, k % 8 > 2]))
         .collect();
@@ -278,7 +279,7 @@ fn what_is_predicted_of_a_rig_is_what_its_solves_scatter_by() {
     let mean_square =
         errors.iter().map(|error| error.dot(&(inverse * error))).sum::<f64>() / (6 * SEEDS) as f64;
     eprintln!("mean square of errors over their prediction: {mean_square:.2}");
-    // 240 numbers of which each six are independent: 1 ± 0.09.
+    // 240 independent numbers: 1 ± 0.09.
     assert!((mean_square - 1.0).abs() < 0.3, "{mean_square}");
     let mean = errors.iter().sum::<Vector6<f64>>() / SEEDS as f64;
     for k in 0..6 {

@@ -1,4 +1,4 @@
-//! Which images of a pool to take: in the order in which each teaches most beside those before
+//! Which images of a pool to take: a greedy order, in which each image adds most to those before
 //! it.
 
 use nalgebra::DMatrix;
@@ -15,29 +15,28 @@ use crate::calibration::information::view_information::{WeightedCorner, view_inf
 use crate::estimation::camera::{CameraEstimate, ViewEstimate};
 use crate::estimation::problem::{BoardView, CameraProblem};
 
-/// One image of a pool in its place.
+/// One image of the order.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PoolStep {
-    /// Which of the problem's views.
+    /// Its index among the problem's views.
     pub view: usize,
-    /// The goal's figure without it, in pixels; with no view at all that of a camera that nothing
-    /// is known of.
+    /// The uncertainty without it, in pixels; without any view, that of the prior.
     pub before_px: f64,
     /// The same with it.
     pub after_px: f64,
 }
 
-/// What the views of a pool teach, under the estimate of all of them.
+/// The information of the views of a pool, at the estimate from all of them.
 #[derive(Debug, Clone)]
 pub struct Pool {
     nothing: LensInformation,
     goal: ProjectionGoal,
-    /// Of each view that can teach.
+    /// Each usable view, with its information.
     views: Vec<(usize, DMatrix<f64>)>,
 }
 
 impl Pool {
-    /// The pool that a problem is, with its estimate.
+    /// The pool of all views of a problem, with its estimate.
     pub fn of(problem: &CameraProblem, estimate: &CameraEstimate, figure: GoalFigure) -> Self {
         let nothing = LensInformation::prior(estimate.lens, estimate.image_size);
         let goal = ProjectionGoal::new(&estimate.lens, estimate.image_size, figure);
@@ -50,8 +49,8 @@ impl Pool {
         Self { nothing, goal, views }
     }
 
-    /// The views in order: each the one that lowers the goal most beside those before it. Views
-    /// that the estimate did not use are left out.
+    /// The views in greedy order: each is the one that most lowers the goal, given those before it.
+    /// Views that the estimate did not use are left out.
     pub fn order(&self) -> Vec<PoolStep> {
         let mut left: Vec<&(usize, DMatrix<f64>)> = self.views.iter().collect();
         let mut known = self.nothing.clone();
@@ -71,9 +70,9 @@ impl Pool {
         steps
     }
 
-    /// The `count` views that together leave the goal lowest, in order: the first of
-    /// [`Self::order`], then exchanged one by one for better ones as long as there are any
-    /// (V. V. Fedorov's exchange).
+    /// The `count` views that together leave the lowest goal, as ascending indices. Starts from the
+    /// first of [`Self::order`] and exchanges views one by one as long as that lowers the goal (V.
+    /// V. Fedorov's exchange).
     pub fn choose(&self, count: usize) -> Vec<usize> {
         let mut chosen: Vec<usize> =
             self.order().iter().take(count).map(|step| step.view).collect();
@@ -85,7 +84,7 @@ impl Pool {
         chosen
     }
 
-    /// The goal's figure of some views together, in pixels.
+    /// The uncertainty with these views together, in pixels.
     pub fn uncertainty_px(&self, views: &[usize]) -> f64 {
         self.figure(&self.together(views))
     }
@@ -95,7 +94,7 @@ impl Pool {
         parts.fold(self.nothing.clone(), |known, (_, part)| known.with(part))
     }
 
-    /// The best exchange of one chosen view for one that is not; `None` where none is better.
+    /// The best exchange of a chosen view for another one; `None` if none lowers the goal.
     fn exchanged(&self, chosen: &[usize]) -> Option<Vec<usize>> {
         let now_px = self.uncertainty_px(chosen);
         let others = || self.views.iter().filter(|(view, _)| !chosen.contains(view));
@@ -119,12 +118,12 @@ impl Pool {
     }
 }
 
-/// Exchanges that gain less than this part are rounding.
+/// Exchanges with a smaller relative gain are rounding.
 const BETTER: f64 = 0.999;
 const MOST_EXCHANGES: usize = 50;
 
 /// The information of one view of an estimate on the parameters in `free`, with the noise that the
-/// estimate found: `None` for an unused view.
+/// estimate found; `None` for an unused view.
 pub fn information_in(
     estimate: &CameraEstimate,
     free: &[usize],
@@ -143,20 +142,20 @@ pub fn information_in(
     view_information(&estimate.lens, free, &camera_from_board, &corners)
 }
 
-/// The view that would teach most beside all of a pool.
+/// The view that would add most to a whole pool.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SuggestedNext {
-    /// Where, and by how much the worst projection uncertainty would fall.
+    /// Its pose, and how much the worst projection uncertainty would fall.
     pub view: SuggestedView,
     /// The same in words.
     pub message: String,
 }
 
-/// Images come without the blur of their edges: that of a lens in focus.
+/// Edge blur is not measured for a pool's images: that of a lens in focus is assumed.
 const POOL_BLUR_PX: f64 = 0.8;
 
 impl SuggestedNext {
-    /// What an estimate of `problem` lacks most; `None` where nothing can be asked for.
+    /// The view that an estimate of `problem` lacks most; `None` where none can be suggested.
     pub fn of(problem: &CameraProblem, estimate: &CameraEstimate) -> Option<Self> {
         let known = LensInformation::of_estimate(estimate)?;
         let board = BoardPoints::of_problem(problem)?;

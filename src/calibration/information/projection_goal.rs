@@ -1,4 +1,4 @@
-//! How uncertain a lens leaves projections over the image, as one number to lower.
+//! The uncertainty of a lens's projections over the image, as one number to minimize.
 
 use nalgebra::DMatrix;
 
@@ -9,7 +9,7 @@ use crate::geometry::lens::Lens;
 use crate::geometry::median::median;
 use crate::geometry::pixel::ImageSize;
 
-/// Which figure of the uncertainty over the image is to fall.
+/// The figure of the uncertainty over the image that is minimized.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum GoalFigure {
     /// The median over the image: what a session's goal is stated in.
@@ -28,8 +28,8 @@ impl GoalFigure {
         }
     }
 
-    /// What views are compared by: the median itself; for the worst a power mean over the image,
-    /// which also falls when one of several places falls that are about as bad.
+    /// The number that views are compared by: the median itself, or instead of the worst a power
+    /// mean over the image, which also falls when only one of several nearly worst places improves.
     pub(super) fn criterion(self, std_px: &[f64]) -> f64 {
         match self {
             Self::Median => self.of(std_px),
@@ -48,11 +48,11 @@ pub struct ProjectionGoal {
 /// Columns of the grid that views are compared over: half as fine as the one that results are
 /// summed up over, at a quarter of the time.
 const COLUMNS: u32 = 7;
-/// Of the power mean: 3 and 12 lead to as few views (27 simulated sessions each).
+/// Exponent of the power mean: 3 and 12 lead to as few views (27 simulated sessions each).
 const POWER: i32 = 6;
 
 impl ProjectionGoal {
-    /// The `figure` of projections of `lens` over images of `size`.
+    /// The `figure` of the uncertainty of projections of `lens` over images of `size`.
     pub fn new(lens: &Lens, size: ImageSize, figure: GoalFigure) -> Self {
         let grid = PixelGrid::over(size, COLUMNS);
         Self { samples: ProjectionSamples::of(lens, grid, Distance::Infinity), figure }
@@ -63,8 +63,8 @@ impl ProjectionGoal {
         self.figure
     }
 
-    /// The figure for this covariance of the lens's parameters, in pixels; `None` where the lens
-    /// sees nothing of the image.
+    /// The figure for this covariance of the lens's parameters, in pixels; `None` where no pixel of
+    /// the image is in the lens's valid region.
     pub fn uncertainty_px(&self, covariance: &DMatrix<f64>) -> Option<f64> {
         self.figure_px(&self.map(covariance)?)
     }
@@ -74,7 +74,7 @@ impl ProjectionGoal {
         Some(self.figure.of(&seen_std_px(map)?))
     }
 
-    /// What views are compared by, in pixels.
+    /// The number that views are compared by, in pixels.
     pub fn criterion_px(&self, map: &UncertaintyMap) -> Option<f64> {
         Some(self.figure.criterion(&seen_std_px(map)?))
     }
@@ -87,9 +87,9 @@ impl ProjectionGoal {
         }
     }
 
-    /// By how much projections become surer from `before` to `after`: the mean over the image of
-    /// the relative drop of each pixel's standard deviation, 0 to 1. It counts what is learned
-    /// anywhere, whatever the figure is.
+    /// How much the uncertainty falls from `before` to `after`: the mean over the image of the
+    /// relative drop of each pixel's standard deviation, 0 to 1. Unlike the figure, it counts an
+    /// improvement anywhere.
     pub fn gain(&self, before: &UncertaintyMap, after: &UncertaintyMap) -> f64 {
         let pairs = before.std_px.iter().zip(&after.std_px);
         let drops: Vec<f64> = pairs
@@ -103,19 +103,20 @@ impl ProjectionGoal {
         self.samples.uncertainty(covariance)
     }
 
-    /// Maps as fast as many candidates need them, compared with `now`.
+    /// Samples for a fast computation of such maps, for many candidates that are compared with
+    /// `now`.
     pub fn near(&self, now: &UncertaintyMap) -> Option<CompensatedSamples> {
         self.samples.compensated_as(now)
     }
 }
 
-/// The uncertainties where the lens sees something; `None` where it sees nothing.
+/// The uncertainties inside the lens's valid region; `None` if there are none.
 fn seen_std_px(map: &UncertaintyMap) -> Option<Vec<f64>> {
     let seen: Vec<f64> = map.std_px.iter().flatten().copied().collect();
     (!seen.is_empty()).then_some(seen)
 }
 
-/// The power mean of uncertainties that is near the worst of them.
+/// The power mean of uncertainties, which is near the worst of them.
 pub(super) fn power_mean(std_px: &[f64]) -> f64 {
     let worst = std_px.iter().copied().fold(0.0, f64::max);
     let sum: f64 = std_px.iter().map(|std| (std / worst).powi(POWER)).sum();

@@ -1,8 +1,9 @@
-//! What a session's views have taught so far, and what one more would: follows from the frames
-//! alone, in their order, whatever was estimated meanwhile elsewhere. A replay therefore keeps the
-//! same views and asks for the same ones.
+//! The information in a session's views so far, and the information that one more would add; in
+//! names, a view teaches the information that it adds. It depends on the frames and their order
+//! alone, and not on estimates that other threads make meanwhile: a replay keeps the same views and
+//! suggests the same ones.
 //!
-//! The lens is a nominal one until three views give one; it is estimated anew whenever the views
+//! The lens is nominal until three views determine one. It is estimated anew whenever the views
 //! have grown by a third, which costs a few milliseconds a dozen times in a session.
 
 use std::f64::consts::PI;
@@ -27,18 +28,18 @@ use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
 
-/// What the views of one camera teach.
+/// The information in the views of one camera.
 #[derive(Debug, Clone)]
 pub struct Teaching {
     size: ImageSize,
     choice: LensChoice,
     board: BoardPoints,
-    /// Whether the board frame's z axis points at a camera that sees the front.
+    /// Whether the board frame's z axis points at a camera that sees its front.
     towards_camera: bool,
     views: Vec<TaughtView>,
-    /// What was shown there was not worth keeping.
+    /// Poses at which a board was not worth keeping.
     refused_camera_from_board: Vec<Pose>,
-    /// Of the newest estimate; `None` while the lens is nominal.
+    /// The start for the next estimate, from the newest one; `None` while the lens is nominal.
     start: Option<CameraStart>,
     estimated_among: usize,
     noise: SessionNoise,
@@ -47,44 +48,43 @@ pub struct Teaching {
     now: Option<UncertaintyMap>,
 }
 
-/// One view, and what it teaches under the present lens.
+/// One view, and its information at the present lens.
 #[derive(Debug, Clone)]
 pub struct TaughtView {
     /// Which of the session's views it is.
     pub number: u32,
     seen: BoardView,
     blur_px: f64,
-    /// Where the board is, under the present lens.
+    /// The board's pose at the present lens.
     pub camera_from_board: Pose,
     normal: ViewNormal,
     information: DMatrix<f64>,
 }
 
-/// How much wider corners scatter than their detector predicts.
+/// The scatter of corners relative to what their detector predicts.
 #[derive(Debug, Clone, Copy)]
 struct SessionNoise {
     factor: f64,
     floor_px: f64,
 }
 
-/// No corner is seen better than this, in units of its own standard deviation.
+/// The least noise factor, in units of a corner's own standard deviation.
 const LEAST_NOISE: f64 = 0.01;
-/// A board within this effort of a kept view may be the same image again: a tenth of its distance,
-/// or twelve degrees, which admission refuses.
+/// A board within this effort of a kept view may repeat it: a tenth of its distance, or twelve
+/// degrees. Admission rejects that.
 const NEAR_KEPT: f64 = 0.2;
-/// What is so near to a refused view is refused with it.
+/// The same for a refused pose.
 const NEAR_REFUSED: f64 = 0.3;
-/// Fewer views leave the lens open.
+/// Fewer views do not determine the lens.
 const LEAST_VIEWS: usize = 3;
-/// The lens is estimated anew when views have grown by this factor.
+/// The lens is estimated anew when the views have grown by this factor.
 const GROWTH: f64 = 1.3;
-/// Another model than the ordinary one is taken where it leaves less than this part of the
-/// residuals.
+/// `auto` takes the second model only if its residuals are below this fraction of the first one's.
 const CLEARLY_BETTER: f64 = 0.8;
 
 impl Teaching {
-    /// Nothing taught yet of a camera with images of `size` before `target`, whose lens is to be of
-    /// the chosen model; `figure` is what is to fall.
+    /// No information yet: a camera with images of `size`, in front of `target`, whose lens is of
+    /// the chosen model. `figure` is the quantity in which the goal is stated.
     pub fn new(target: &Target, size: ImageSize, choice: LensChoice, figure: GoalFigure) -> Self {
         let lens = nominal_lens(size, choice);
         let mut teaching = Self {
@@ -115,7 +115,7 @@ impl Teaching {
         &self.board
     }
 
-    /// What is known of the lens.
+    /// The information on the lens.
     pub fn known(&self) -> &LensInformation {
         &self.known
     }
@@ -125,17 +125,18 @@ impl Teaching {
         self.size
     }
 
-    /// Of which model its lens is to be.
+    /// The lens model that was chosen.
     pub fn choice(&self) -> LensChoice {
         self.choice
     }
 
-    /// Which figure of the uncertainty is to fall.
+    /// The figure that the goal is stated in.
     pub fn figure(&self) -> GoalFigure {
         self.goal.figure()
     }
 
-    /// A view to ask for that was not found by [`Self::suggest`]: `normal` is what it would say.
+    /// A suggested view at a pose that [`Self::suggest`] did not find; `normal` is its normal
+    /// matrix.
     pub fn suggested(
         &self,
         camera_from_board: Pose,
@@ -158,7 +159,7 @@ impl Teaching {
         })
     }
 
-    /// Whether the lens was estimated, and is not the nominal one.
+    /// Whether the lens was estimated, and is no longer nominal.
     pub fn is_estimated(&self) -> bool {
         self.start.is_some()
     }
@@ -168,15 +169,15 @@ impl Teaching {
         &self.views
     }
 
-    /// What the view that would be the `number`-th teaches, under the present lens; `None` where no
-    /// pose explains it.
+    /// The information that a view with this number would add, with the present lens; `None` where
+    /// no pose fits it.
     pub fn view(&self, number: u32, seen: BoardView, blur_px: f64) -> Option<TaughtView> {
         let camera_from_board = board_poses(self.lens(), &seen).ok()?.first()?.camera_from_board;
         self.placed(number, seen, blur_px, camera_from_board)
     }
 
-    /// How much surer projections would be with one more view: the mean over the image of the
-    /// relative drop of their standard deviation, 0 to 1.
+    /// How much one more view would lower the uncertainty of projections: the mean over the image
+    /// of the relative drop of the standard deviation, 0 to 1.
     pub fn gain(&self, view: &TaughtView) -> f64 {
         let after = self.known.covariance_with(&view.information);
         let after = after.and_then(|covariance| self.goal.map(&covariance));
@@ -186,8 +187,8 @@ impl Teaching {
         }
     }
 
-    /// By how much the goal's criterion would fall with one more view, as
-    /// [`ProjectionGoal::drop`] has it.
+    /// The relative drop of the goal's criterion with one more view, as in
+    /// [`ProjectionGoal::drop`].
     pub fn drop(&self, view: &TaughtView) -> f64 {
         let after = self.known.covariance_with(&view.information);
         match (&self.now, after.and_then(|covariance| self.goal.map(&covariance))) {
@@ -196,7 +197,7 @@ impl Teaching {
         }
     }
 
-    /// Takes a view in.
+    /// Adds a view.
     pub fn add(&mut self, view: TaughtView) {
         self.views.push(view);
         self.refused_camera_from_board.clear();
@@ -208,8 +209,8 @@ impl Teaching {
         self.sum_up();
     }
 
-    /// The number of the view that teaches least beside the others, with how much less sure
-    /// projections would be without it (as [`Self::gain`]).
+    /// The number of the view that adds least to the others, and how much the others' uncertainty
+    /// falls with it (as [`Self::gain`]).
     pub fn least_informative(&self) -> Option<(u32, f64)> {
         let losses = self.views.iter().filter_map(|view| {
             let matrix = &self.known.matrix - &view.information;
@@ -220,7 +221,7 @@ impl Teaching {
         losses.min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// Takes the view with this number out.
+    /// Removes the view with this number.
     pub fn remove(&mut self, number: u32) {
         if let Some(at) = self.views.iter().position(|view| view.number == number) {
             self.views.remove(at);
@@ -233,12 +234,13 @@ impl Teaching {
         }
     }
 
-    /// The goal's figure as the views leave it, in pixels.
+    /// The goal's figure with the present views, in pixels.
     pub fn uncertainty_px(&self) -> Option<f64> {
         self.goal.uncertainty_px(&self.known.covariance()?)
     }
 
-    /// The view to ask for next, from where the last one was, with the figure to reach.
+    /// The next view to suggest, with `goal_px` as the uncertainty to reach. The search starts from
+    /// the last view.
     pub fn suggest(&self, goal_px: Option<f64>) -> Option<SuggestedView> {
         let noise = self.corner_noise();
         let from = self.views.last().map(|view| &view.camera_from_board);
@@ -246,12 +248,13 @@ impl Teaching {
         suggest_view(&self.known, &self.goal, &self.space(&noise, &avoided), from, goal_px)
     }
 
-    /// What is shown there is not worth keeping: nothing like it is asked for until a view is kept.
+    /// A board at this pose was not worth keeping: views near it are not suggested until another
+    /// view is kept.
     pub fn refuse(&mut self, camera_from_board: Pose) {
         self.refused_camera_from_board.push(camera_from_board);
     }
 
-    /// Where a view would be the same image as a kept one, or was refused.
+    /// Poses near a kept view, which would repeat it, or near a refused one.
     pub fn avoided(&self) -> Vec<AvoidedPose> {
         let kept = self.views.iter().map(|view| (view.camera_from_board, NEAR_KEPT));
         let refused = self.refused_camera_from_board.iter().map(|pose| (*pose, NEAR_REFUSED));
@@ -259,19 +262,19 @@ impl Teaching {
         kept.chain(refused).map(avoided).collect()
     }
 
-    /// How exact corners are, as far as the views show.
+    /// The noise of corners, estimated from the views.
     pub fn corner_noise(&self) -> CornerNoise {
         let samples: Vec<NoiseSample> =
             self.views.iter().filter_map(|view| self.noise_sample(view)).collect();
         CornerNoise::learn(&samples)
     }
 
-    /// How far it is from one pose of the board to another, in rotations by a radian.
+    /// The effort from one pose of the board to another, in radians of rotation.
     pub fn effort(&self, here_from_board: &Pose, there_from_board: &Pose) -> f64 {
         effort(here_from_board, there_from_board, self.board.middle())
     }
 
-    /// Where the board can be asked for, `avoided` poses aside.
+    /// The space of views to suggest, without the `avoided` poses.
     pub fn space<'a>(
         &'a self,
         noise: &'a CornerNoise,
@@ -317,7 +320,7 @@ impl Teaching {
         })
     }
 
-    /// Estimates the lens from the views; where they leave it open it stays as it was.
+    /// Estimates the lens from the views; if that fails, it stays as it was.
     fn estimate(&mut self) {
         let views = self.views.iter().map(|view| view.seen.clone()).collect();
         let problem = CameraProblem { image_size: self.size, views };
@@ -362,8 +365,8 @@ impl Teaching {
 }
 
 impl TaughtView {
-    /// Where the board is, its origin in the middle of the corners that were seen: rotations are
-    /// about that in its normal matrix.
+    /// The board's pose with its origin in the middle of the corners seen: the point that rotations
+    /// of its normal matrix are about.
     pub fn centered(&self) -> Pose {
         Pose::new(self.camera_from_board.rotation(), self.normal.middle_in_camera)
     }
@@ -373,12 +376,12 @@ impl TaughtView {
         &self.normal
     }
 
-    /// What it says of the lens.
+    /// Its information on the lens.
     pub fn information(&self) -> &DMatrix<f64> {
         &self.information
     }
 
-    /// The same as the `number`-th view.
+    /// The same with this number.
     #[must_use]
     pub fn numbered(self, number: u32) -> Self {
         Self { number, ..self }
@@ -391,7 +394,7 @@ impl SessionNoise {
     }
 }
 
-/// The one that leaves less, the first unless the second is clearly better.
+/// The estimate with smaller residuals; the first unless the second is clearly better.
 fn better(first: Option<CameraEstimate>, second: Option<CameraEstimate>) -> Option<CameraEstimate> {
     match (first, second) {
         (Some(first), Some(second)) if second.rms_px < CLEARLY_BETTER * first.rms_px => {
@@ -402,7 +405,7 @@ fn better(first: Option<CameraEstimate>, second: Option<CameraEstimate>) -> Opti
     }
 }
 
-/// A lens of the chosen model without distortion, as wide as many are.
+/// A lens of the chosen model without distortion, with an ordinary field of view.
 fn nominal_lens(size: ImageSize, choice: LensChoice) -> Lens {
     let model = match choice {
         LensChoice::Model(model) => model,

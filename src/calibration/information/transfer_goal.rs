@@ -1,6 +1,6 @@
-//! How uncertain it is where one camera sees what another one sees: the pixels of a are taken to a
-//! distance, and from there into the image of b. Both lenses and the relative pose have their part
-//! in it, with their correlations.
+//! The uncertainty of where one camera sees what another one sees: pixels of a are taken to a
+//! distance, and from there projected into the image of b. Both lenses and the relative pose
+//! contribute, with their correlations.
 
 use nalgebra::{DMatrix, Matrix2x3, Point3, SMatrix, Vector3};
 
@@ -11,22 +11,22 @@ use crate::estimation::uncertainty::{PixelGrid, greatest_variance};
 use crate::geometry::lens::{Lens, MAX_PARAMETERS};
 use crate::geometry::pixel::{ImageSize, Pixel};
 
-/// The derivatives of transferred pixels by both lenses and the relative pose.
+/// The derivatives of transferred pixels by both lenses and by the relative pose.
 #[derive(Debug, Clone)]
 pub struct TransferGoal {
-    /// Two columns a pixel, a row for each of what is known of the pair.
+    /// Two columns per pixel, a row for each parameter of the pair.
     by_known: DMatrix<f64>,
     figure: GoalFigure,
 }
 
 /// Columns of the grid over the image of a.
 const COLUMNS: u32 = 7;
-/// Of those that b sees at least so many, or all that its lens has a pixel for are taken.
+/// If fewer of them than this project into the image of b, those outside it count too.
 const LEAST_SEEN: usize = 4;
 
 impl TransferGoal {
-    /// The `figure` of the pixels of the first camera whose points at `distance_m` the second one
-    /// sees. `None` where it sees none of them.
+    /// The uncertainty of the first camera's pixels, taken to `distance_m`, in the second one,
+    /// reduced to `figure`. `None` where no pixel projects into it.
     pub fn new(
         information: &PairInformation,
         cameras: [(&Lens, ImageSize); 2],
@@ -57,8 +57,8 @@ impl TransferGoal {
         (!taken.is_empty()).then_some(Self { by_known, figure })
     }
 
-    /// The 1-σ uncertainty of each transferred pixel in its worst direction, in pixels of b.
-    /// `None` where the information leaves something open.
+    /// The 1-σ uncertainty of each transferred pixel in its worst direction, in pixels of b. `None`
+    /// where the information matrix leaves something undetermined.
     pub fn std_px(&self, information: &DMatrix<f64>) -> Option<Vec<f64>> {
         let mut rest = self.by_known.clone();
         let factor = information.clone().cholesky()?;
@@ -76,13 +76,13 @@ impl TransferGoal {
         self.figure.of(std_px)
     }
 
-    /// What views are compared by, in pixels of b.
+    /// The number that views are compared by, in pixels of b.
     pub fn criterion_px(&self, std_px: &[f64]) -> f64 {
         self.figure.criterion(std_px)
     }
 }
 
-/// One pixel of a in b.
+/// One pixel of a, transferred to b.
 struct TransferredPixel {
     pixel: Pixel,
     by_lenses: [SMatrix<f64, 2, MAX_PARAMETERS>; 2],
@@ -102,7 +102,8 @@ impl TransferredPixel {
         let in_a = lenses[0].project(&point_in_a)?;
         let point_in_b = information.b_from_a * point_in_a;
         let in_b = lenses[1].project(&point_in_b)?;
-        // The pixel stays: what the lens moves it by, the point moves it back, at its distance.
+        // The pixel is fixed: when the lens changes, the point moves across the ray so that it
+        // still projects to the pixel, at its distance.
         let across = bearing.cross(&axis_across(&bearing.into_inner())).normalize();
         let tangents = nalgebra::Matrix3x2::from_columns(&[across, bearing.cross(&across)]);
         let point_by_lens =
@@ -120,7 +121,7 @@ impl TransferredPixel {
     }
 }
 
-/// The axis that is farthest from a direction.
+/// The coordinate axis that is most nearly perpendicular to a direction.
 fn axis_across(direction: &Vector3<f64>) -> Vector3<f64> {
     let mut across = Vector3::zeros();
     across[direction.iamin()] = 1.0;

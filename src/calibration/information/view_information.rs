@@ -1,11 +1,11 @@
-//! What one view of a board says of a lens: its information matrix, the view's own pose unknown.
+//! The information of one view of a board on a lens, with the view's pose unknown.
 
 use nalgebra::{DMatrix, Matrix2x3, Matrix2x6, Matrix6, Point3, SMatrix, Vector3};
 
 use crate::geometry::lens::{Lens, MAX_PARAMETERS, Projection};
 use crate::geometry::pose::Pose;
 
-/// A corner with the exactness that it was, or will be, seen with.
+/// A corner with its standard deviation, measured or expected.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WeightedCorner {
     /// In meters.
@@ -15,22 +15,22 @@ pub struct WeightedCorner {
 }
 
 /// The normal matrix of one view, over its lens and the board's pose. The pose is a rotation
-/// (radians, the camera's axes) about the middle of the corners that were seen, and a translation
-/// (meters): rotation and translation then hardly depend on each other.
+/// (radians, the camera's axes) about the middle of the corners seen, and a translation (meters):
+/// so rotation and translation are hardly correlated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ViewNormal {
     /// Over the lens's parameters, in the order of [`Lens::parameters`].
     pub by_lens: SMatrix<f64, MAX_PARAMETERS, MAX_PARAMETERS>,
-    /// Lens by pose.
+    /// Lens × pose.
     pub coupling: SMatrix<f64, MAX_PARAMETERS, 6>,
     /// Over the pose.
     pub by_pose: Matrix6<f64>,
-    /// What the pose rotates about.
+    /// The point that the pose's rotation is about.
     pub middle_in_camera: Vector3<f64>,
 }
 
 impl ViewNormal {
-    /// That of a board at `camera_from_board`. Corners outside the lens's valid region add nothing.
+    /// For a board at `camera_from_board`. Corners outside the lens's valid region add nothing.
     pub fn of(lens: &Lens, camera_from_board: &Pose, corners: &[WeightedCorner]) -> Self {
         let sum = corners.iter().map(|corner| corner.point_in_board.coords).sum::<Vector3<f64>>();
         let mean = sum / corners.len().max(1) as f64;
@@ -71,7 +71,7 @@ impl ViewNormal {
 }
 
 /// The derivative of a projection by a motion of its point: a rotation, which moves the point by
-/// the cross product with `lever`, and a translation.
+/// its cross product with `lever`, and a translation.
 pub fn by_motion(by_point: &Matrix2x3<f64>, lever: &Vector3<f64>) -> Matrix2x6<f64> {
     let mut motion = Matrix2x6::zeros();
     for axis in 0..2 {
@@ -82,8 +82,8 @@ pub fn by_motion(by_point: &Matrix2x3<f64>, lever: &Vector3<f64>) -> Matrix2x6<f
     motion
 }
 
-/// The inverse of a normal matrix over a pose. Rotations are in radians and translations in
-/// meters: both get the same scale before they are inverted.
+/// The inverse of a normal matrix over a pose. Rotations are in radians and translations in meters,
+/// so the matrix is scaled to a unit diagonal before it is inverted.
 pub fn inverse_of_pose(normal: &Matrix6<f64>) -> Option<Matrix6<f64>> {
     let scale = normal.diagonal().map(|v| 1.0 / v.max(f64::MIN_POSITIVE).sqrt());
     let scales = Matrix6::from_diagonal(&scale);

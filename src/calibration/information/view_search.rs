@@ -1,8 +1,8 @@
-//! The search for the next view to ask for, whatever views are to teach: of all candidates that
-//! lower the goal about as far as the best one, the one that is nearest to how the board is held
-//! now; and how many more such views the goal takes.
+//! The search for the next view to suggest, whatever the views are to determine. Of all candidates
+//! that lower the goal about as much as the best one, it takes the one nearest to the board's
+//! present pose; and it counts how many more such views the goal takes.
 //!
-//! What differs is a [`Lesson`]: one camera's lens (`next_view`), two cameras together
+//! A [`Lesson`] states what is to be determined: one camera's lens (`next_view`), a pair of cameras
 //! (`next_shared_view`), depth beside color (`next_depth_view`).
 
 use nalgebra::Point3;
@@ -10,37 +10,37 @@ use nalgebra::Point3;
 use crate::calibration::information::candidate_views::{Holding, effort};
 use crate::geometry::pose::Pose;
 
-/// What views are to teach.
+/// What the views are to determine.
 pub(super) trait Lesson {
-    /// A board that is held somewhere, as it is seen wherever it has to be.
+    /// A board at some pose, as each camera involved sees it.
     type View;
-    /// What a view adds to what is known.
+    /// What a view adds to the present information.
     type Information;
-    /// What is known.
+    /// The present information.
     type Known: Clone;
 
-    /// How many images the board can be placed in.
+    /// The number of images that the board can be placed in.
     const IMAGES: usize = 1;
-    /// So many of the coming views may add to what is to be known; 0 where none does.
+    /// How many of the coming views may extend the goal; 0 where none does.
     const COMING: usize = 0;
 
-    /// What is known now.
+    /// The present information.
     fn known(&self) -> &Self::Known;
 
-    /// The view of a board that is held so in one of the images; `None` where it cannot be asked
-    /// for.
+    /// The view of a board that is held like this in one of the images; `None` where it cannot be
+    /// suggested.
     fn view(&self, image: usize, holding: &Holding) -> Option<LessonCandidate<Self::View>>;
 
-    /// What it would add; `None` where it says nothing.
+    /// What it would add; `None` where it adds nothing.
     fn information(&self, view: &Self::View) -> Option<Self::Information>;
 
-    /// What is known with this part of a view.
+    /// The information after a view, scaled by `part`.
     fn after(&self, known: &Self::Known, view: &Self::Information, part: f64) -> Self::Known;
 
-    /// How uncertain that leaves what is to be known; `None` where it leaves something open.
+    /// The uncertainty that remains; `None` where something is undetermined.
     fn uncertainty_px(&self, known: &Self::Known) -> Option<LessonFigures>;
 
-    /// The same once that view is kept: there may be more to know then.
+    /// The same once that view is kept, which may extend the goal.
     fn kept(&self, known: Self::Known, _view: &Self::Information) -> Self::Known {
         known
     }
@@ -52,67 +52,69 @@ pub(super) trait Lesson {
 /// An uncertainty, in pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct LessonFigures {
-    /// What the goal is stated in.
+    /// The figure that the goal is stated in.
     pub(super) figure: f64,
-    /// What views are compared by.
+    /// The criterion that views are compared by.
     pub(super) criterion: f64,
 }
 
-/// A view that can be asked for.
+/// A view that could be suggested.
 #[derive(Debug, Clone)]
 pub(super) struct LessonCandidate<View> {
     pub(super) view: View,
-    /// Where the board would be before the first camera.
+    /// The board's pose in the first camera.
     pub(super) camera_from_board: Pose,
-    /// How likely it is seen when hands hold it about there.
+    /// The probability that it is visible when it is held by hand near this pose.
     pub(super) likely: f64,
 }
 
-/// What is asked for.
+/// The view to suggest.
 pub(super) struct FoundView<L: Lesson> {
     pub(super) view: L::View,
     pub(super) information: L::Information,
-    /// How many more views reach the goal: as few as this if each is as suggested and there is no
-    /// more to know than now; as many as that if each teaches a quarter as much, or if all that
-    /// coming ones add is to be known too, whichever takes longer. `None` without a goal.
+    /// How many more views reach the goal. The first number holds if each is as suggested and the
+    /// goal is not extended. The second is the larger of two counts: if each view adds a quarter of
+    /// that information, and if the goal is extended by all that the coming views add. `None`
+    /// without a goal.
     pub(super) views_to_go: Option<[u32; 2]>,
 }
 
-/// How many candidates are tried.
+/// The number of candidates that are tried.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SearchSize {
-    /// Of the sequence that fills all of them evenly, in each image.
+    /// Of the evenly distributed sequence, in each image.
     pub(super) sequence: usize,
-    /// In the image's corners, where lenses are known worst.
+    /// In the image's corners, where lenses are least known.
     pub(super) in_corners: usize,
-    /// Around the best of them, within this part of the range.
+    /// Around the best one, within this fraction of the range.
     pub(super) refined: [(usize, f64); 2],
 }
 
-/// Candidates whose drop of the goal is at least this part of the best one's are as good.
+/// A candidate is as good as the best one if its drop of the goal is at least this fraction of the
+/// best one's.
 const AS_GOOD: f64 = 0.9;
-/// Of so many candidates the coming views are taken in counting them: out of the better half,
-/// since views that are much like the best leave open what it leaves open.
+/// Candidates from which the coming views are taken for the count. They are spread over the better
+/// half, since views much like the best one leave the same things undetermined.
 const SHORTLIST: usize = 12;
-/// So many views are gone through one by one; beyond, information grows by as much with each.
+/// Views that are counted one by one; beyond, information is taken to grow linearly.
 const COUNTED: u32 = 12;
-/// So many views are none that anybody shows.
+/// A count that means "never".
 const UNREACHABLE: u32 = 1_000_000;
-/// How much coming views teach at least, relative to what is expected of them: a quarter where they
-/// are held otherwise, or where corners and planes scatter twice as far as few views let expect.
+/// The least information that coming views add, relative to what is expected of them: a quarter if
+/// they are held differently, or if corners and planes scatter twice as much as few views suggest.
 const LEAST_PART: f64 = 0.25;
 
 struct ScoredView<L: Lesson> {
     candidate: LessonCandidate<L::View>,
-    /// Which image the board is placed in, and how it is held there.
+    /// The image that the board is placed in, and how it is held there.
     placed: (usize, Holding),
     information: L::Information,
-    /// The drop of the goal's criterion that is to be expected of hands.
+    /// The expected drop of the goal's criterion, given that hands miss.
     score: f64,
 }
 
-/// The next view to ask for; `from` is where the board is now before the first camera and
-/// `goal_px` the figure to reach. `None` where no view can be asked for.
+/// The next view to suggest; `from` is the board's present pose in the first camera, and `goal_px`
+/// the uncertainty to reach. `None` where no view can be suggested.
 pub(super) fn find_view<L: Lesson>(
     lesson: &L,
     size: &SearchSize,
@@ -165,7 +167,7 @@ pub(super) fn find_view<L: Lesson>(
     Some(FoundView { view: candidate.view, information, views_to_go })
 }
 
-/// What is known, and all that the views which would be asked for next add to what is to be known.
+/// The present information, with the goal extended by all that the views to be suggested next add.
 fn grown<L: Lesson>(lesson: &L, shortlist: &[&L::Information]) -> L::Known {
     let (mut known, mut grown) = (lesson.known().clone(), lesson.known().clone());
     for _ in 0..L::COMING {
@@ -176,7 +178,7 @@ fn grown<L: Lesson>(lesson: &L, shortlist: &[&L::Information]) -> L::Known {
     grown
 }
 
-/// The view that this part of lowers the criterion most, with what is known after it.
+/// The view of which the fraction `part` lowers the criterion most, with the information after it.
 fn best_after<'a, L: Lesson>(
     lesson: &L,
     known: &L::Known,
@@ -190,8 +192,8 @@ fn best_after<'a, L: Lesson>(
     after.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, view, after)| (view, after))
 }
 
-/// How many views out of `shortlist`, each with this part of its information and each the best at
-/// its next step, reach the goal from what is `known`.
+/// How many views out of `shortlist` reach the goal from `known`; each adds the fraction `part` of
+/// its information, and each is the best one at its step.
 fn views_to_go<L: Lesson>(
     lesson: &L,
     mut known: L::Known,
@@ -214,8 +216,8 @@ fn views_to_go<L: Lesson>(
     COUNTED + more_views(&figures_px, goal_px)
 }
 
-/// How many more views reach the goal if information grows by as much with each as it did lately;
-/// `figures_px` are those after each view so far.
+/// How many more views reach the goal if each adds as much information as the latest did on
+/// average; `figures_px` are the figures after each view so far.
 fn more_views(figures_px: &[f64], goal_px: f64) -> u32 {
     let middle = figures_px.len() / 2;
     let [before, last] = [figures_px[middle], figures_px[figures_px.len() - 1]].map(|f| f.powi(-2));

@@ -1,5 +1,5 @@
-//! The result: an immutable calibration with its uncertainty, checks and verdict. It holds a list
-//! of sensors, whatever the instrument: one camera, a depth camera, a rig.
+//! The result: an immutable calibration with its uncertainty, checks and verdict. It has a list of
+//! sensors, whatever the instrument: one camera, a depth camera, a rig.
 
 pub mod verdict;
 
@@ -22,7 +22,7 @@ use crate::imaging::frame::SensorKind;
 /// made: a new solve is a new calibration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Calibration {
-    /// Sortable by time; empty until it is named.
+    /// Sortable by time; empty until one is assigned.
     pub id: String,
     /// The camera's name, or the rig's; `None` for a solve outside a daemon.
     pub camera: Option<String>,
@@ -34,9 +34,9 @@ pub struct Calibration {
     pub target: Option<CalibrationTarget>,
     /// Its sensors, camera by camera in the rig's order, each camera's in the order of kinds.
     pub sensors: Vec<CalibratedSensor>,
-    /// Where the sensors are relative to each other; empty for one sensor.
+    /// The relative poses of the sensors; empty for one sensor.
     pub extrinsics: Vec<Extrinsics>,
-    /// How well it did beyond the views it was fitted to.
+    /// How it performs on views that it was not fitted to.
     pub checks: Checks,
     /// How far to trust it.
     pub verdict: Verdict,
@@ -51,7 +51,7 @@ pub struct CalibratedSensor {
     pub result: SensorResult,
 }
 
-/// What is known of a sensor, by what it measures.
+/// What is known about a sensor, depending on what it measures.
 #[derive(Debug, Clone, PartialEq)]
 pub enum SensorResult {
     /// Light: a color or infrared image.
@@ -142,8 +142,8 @@ impl Calibration {
         self.sensor(&SensorId::own(SensorKind::Depth))?.as_depth()
     }
 
-    /// The image sensor that boards are detected in, of an instrument that is one camera: color
-    /// where there is one.
+    /// The image sensor that boards are detected in, for an instrument that is one camera: color if
+    /// there is one.
     pub fn guide(&self) -> Option<&ImageCalibration> {
         let own = |(id, sensor): (_, _)| -> Option<&ImageCalibration> {
             let id: &SensorId = id;
@@ -152,7 +152,7 @@ impl Calibration {
         self.image_sensors().find_map(own)
     }
 
-    /// Adds a sensor in its place: after those before it in order.
+    /// Adds a sensor at its place in the order.
     pub fn add_sensor(&mut self, sensor: CalibratedSensor) {
         let before = |other: &CalibratedSensor| {
             other.id.camera != sensor.id.camera || other.id.kind < sensor.id.kind
@@ -161,13 +161,13 @@ impl Calibration {
         self.sensors.insert(at.unwrap_or(self.sensors.len()), sensor);
     }
 
-    /// Where `source` is in the frame of `target`, where that is stated.
+    /// The pose of `source` in the frame of `target`, if it is stated.
     pub fn pose(&self, target: &SensorId, source: &SensorId) -> Option<&Extrinsics> {
         self.extrinsics.iter().find(|known| known.target == *target && known.source == *source)
     }
 
-    /// Where `source` is in the frame of `target`: as stated, the other way round, or by way of a
-    /// third sensor.
+    /// The pose of `source` in the frame of `target`: as stated, inverted, or through a third
+    /// sensor.
     pub fn relative_pose(&self, target: &SensorId, source: &SensorId) -> Option<Pose> {
         let step = |a: &SensorId, b: &SensorId| {
             if a == b {
@@ -180,8 +180,8 @@ impl Calibration {
         step(target, source).or_else(|| self.sensors.iter().find_map(by_way))
     }
 
-    /// What the sensor is called in documents: its kind; in a rig its camera, with the kind where
-    /// cameras have several sensors (`left.infrared`).
+    /// The sensor's name in documents: its kind; in a rig its camera, with the kind where cameras
+    /// have several sensors (`left.infrared`).
     pub fn name_of(&self, id: &SensorId) -> String {
         match &id.camera {
             None => id.kind.name().to_owned(),
@@ -218,7 +218,7 @@ pub struct ImageCalibration {
     pub uncertainty_px: ProjectionUncertainty,
     /// Every view that was offered, in order.
     pub views: Vec<CalibratedView>,
-    /// Lens models that were compared, when the choice was left to the solve; empty otherwise.
+    /// Lens models that were compared, if the choice was left to the solve; empty otherwise.
     pub compared: Vec<ComparedLens>,
     /// How far the board was bowed at its middle along its x and its y, in meters, where that was
     /// estimated.
@@ -227,27 +227,27 @@ pub struct ImageCalibration {
     pub board_shape: Option<MeasuredBoard>,
     /// Motion while the rows of its images were read, where the views show it.
     pub rolling_shutter: Option<RollingShutter>,
-    /// What a scene showed, where there was no target.
+    /// The support from a scene, if there was no target.
     pub scene: Option<SceneSupport>,
 }
 
-/// What a scene showed of a lens.
+/// How a scene supports a lens.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SceneSupport {
     /// How many scene points were used.
     pub points: usize,
-    /// Lens parameters of which the images say no more than what was known beforehand.
+    /// Lens parameters whose prior is at least as certain as the images' own estimate.
     pub held_by_prior: Vec<String>,
-    /// How well the meter is known, where depth gives it; without it lengths have no unit.
+    /// The uncertainty of the scale, if depth gives it; without it lengths have no unit.
     pub scale: Option<SceneScale>,
 }
 
-/// How well measured depth determines a scene's lengths.
+/// How well measured depth determines the scale of a scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SceneScale {
-    /// The standard deviation of a length, as a part of it.
+    /// The relative standard deviation of a length.
     pub relative_std: f64,
-    /// How many measured depths of scene points it rests on.
+    /// The number of measured depths of scene points.
     pub readings: usize,
     /// In how many images.
     pub views: usize,
@@ -275,22 +275,22 @@ pub struct CalibratedView {
     pub reason: Option<String>,
     /// Its own reprojection error; `None` for a view without a pose.
     pub rms_px: Option<f64>,
-    /// Where the board was; `None` for a view without a pose.
+    /// The board's pose; `None` for a view without a pose.
     pub camera_from_board: Option<Pose>,
     /// How the board moved while the view's rows were read; `None` without a rolling shutter.
     pub motion: Option<ViewMotion>,
-    /// Where the scene was, without a board; the first used view is the identity.
+    /// The scene's pose, without a board; the first used view is the identity.
     pub camera_from_scene: Option<Pose>,
 }
 
-/// Where one sensor is relative to another.
+/// The pose of one sensor relative to another.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Extrinsics {
     /// The sensor whose frame it leads to.
     pub target: SensorId,
     /// The sensor whose frame it leads from.
     pub source: SensorId,
-    /// Where the source is in the target's frame.
+    /// The pose of the source in the target's frame.
     pub target_from_source: Pose,
     /// Standard deviation of the rotation about each axis, in radians.
     pub rotation_std: [f64; 3],
@@ -320,6 +320,6 @@ impl PoseStd {
 pub struct ComparedLens {
     /// The model's name.
     pub model: crate::geometry::lens::LensModel,
-    /// Error on views that were not fitted to.
+    /// Error on held-out views.
     pub held_out_rms_px: f64,
 }

@@ -1,17 +1,17 @@
 //! How far to trust a calibration.
 
-/// How a calibration does beyond the views it was fitted to. A figure that could not be computed is
-/// `None`.
+/// How a calibration performs on views that it was not fitted to. A figure that could not be
+/// computed is `None`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Checks {
     /// Projection difference between two disjoint halves, over what their uncertainties predict:
     /// about 1 when the model is right.
     pub split_half_ratio: Option<f64>,
-    /// Error on views that were not fitted to.
+    /// Error on held-out views.
     pub held_out_rms_px: Option<f64>,
-    /// Part of the corners that was not used.
+    /// Fraction of the corners that was not used.
     pub outlier_fraction: f64,
-    /// Part of the image in which corners were seen, 0 to 1.
+    /// Fraction of the image in which corners were seen, 0 to 1.
     pub coverage: f64,
 }
 
@@ -20,9 +20,9 @@ pub struct Checks {
 pub enum Grade {
     /// Not to be used.
     Poor,
-    /// With the reasons in mind.
+    /// Usable, with the reasons in mind.
     Usable,
-    /// As it is.
+    /// Good as it is.
     Good,
 }
 
@@ -49,10 +49,10 @@ impl Grade {
     }
 }
 
-/// One reason of a verdict, and the grade that it leaves possible at best.
+/// One reason of a verdict, with the best grade that it allows.
 #[derive(Debug, Clone, PartialEq)]
 pub(in crate::calibration) struct Finding {
-    /// The best grade beside it; `Good` for what is only to be known.
+    /// The best grade that it allows; `Good` for mere information.
     pub(in crate::calibration) grade: Grade,
     /// One sentence that a person can act on.
     pub(in crate::calibration) reason: String,
@@ -70,7 +70,7 @@ impl Finding {
 pub struct Verdict {
     /// The grade.
     pub grade: Grade,
-    /// Why it is no better; empty for a spotless one.
+    /// Why it is no better; empty if there is nothing to mention.
     pub reasons: Vec<String>,
 }
 

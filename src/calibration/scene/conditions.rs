@@ -1,27 +1,27 @@
-//! What a reconstruction shows of how the images were taken.
+//! How the images of a reconstruction were taken: motion, parallax, rotation and relief.
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use crate::estimation::scene::bundle::{Bundle, CameraMotion, SceneState};
 use crate::estimation::two_view::triangulation::parallax;
 
-/// How the camera stood and moved.
+/// How the camera moved, and what it saw.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SceneConditions {
-    /// What it did.
+    /// Whether it moved or only rotated.
     pub motion: CameraMotion,
-    /// The median over the points of the widest angle between two rays, in degrees.
+    /// The median over the points of the widest angle between two of a point's rays, in degrees.
     pub parallax_deg: f64,
-    /// The root mean square angle between the optical axis and the ways to the cameras that see
-    /// the same points, in degrees: 0 for forward, 90 for sideways.
+    /// The root mean square angle between the optical axis and the directions to the cameras that
+    /// see the same points, in degrees: 0 for forward motion, 90 for sideways motion.
     pub sideways_deg: f64,
-    /// The widest angle between the axes of two cameras, in degrees.
+    /// The widest angle between the optical axes of two cameras, in degrees.
     pub rotated_deg: f64,
-    /// The widest rotation about the optical axis between two cameras that see a point both, in
+    /// The widest rotation about the optical axis between two cameras that share a point, in
     /// degrees.
     pub rolled_deg: f64,
-    /// The distance of points from their common plane over that from their mean along the shorter
-    /// axis in it, both root mean squares.
+    /// The root mean square distance of the points from their common plane, over their root mean
+    /// square distance from the mean along the shorter axis in that plane.
     pub relief: f64,
 }
 
@@ -58,7 +58,7 @@ fn widest_parallax(bundle: &Bundle, state: &SceneState, point: usize) -> f64 {
     pairs.map(|(a, b)| parallax(&centers[a.camera], &centers[b.camera], at)).fold(0.0, f64::max)
 }
 
-/// How many points each two cameras see both.
+/// For each two cameras, the number of points that both see.
 fn shared_points(bundle: &Bundle, cameras: usize) -> Vec<Vec<usize>> {
     let mut shared = vec![vec![0; cameras]; cameras];
     for seen in &bundle.observations {
@@ -86,8 +86,8 @@ fn sideways(state: &SceneState, shared: &[Vec<usize>]) -> f64 {
     (sum / f64::max(weight, f64::MIN_POSITIVE)).sqrt()
 }
 
-/// The widest angle between axes, and the widest rotation about the axis of cameras that share
-/// points.
+/// The widest angle between optical axes, and the widest rotation about the axis between cameras
+/// that share points.
 fn widest_rotations(state: &SceneState, shared: &[Vec<usize>]) -> (f64, f64) {
     let (mut rotated, mut rolled) = (0.0_f64, 0.0_f64);
     for (k, a) in state.cameras_from_scene.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! From images to what estimation takes: pairs of images with their geometry, and tracks.
+//! From images to the input of estimation: pairs of images with their geometry, and tracks.
 
 use std::sync::Arc;
 
@@ -30,8 +30,7 @@ pub struct SceneImage {
     pub size: ImageSize,
     /// Shared, so that a copy costs nothing.
     features: Arc<Features>,
-    /// What keypoints are located in to more than their own precision; none where there is no
-    /// image any more.
+    /// The luma to localize keypoints in more exactly; `None` if the image is no longer available.
     patches: Option<Arc<PatchImage>>,
     /// What its file states of the camera.
     pub stated: Option<StatedCamera>,
@@ -43,7 +42,7 @@ impl SceneImage {
         Self::with_options(name, image, &FeatureOptions::default())
     }
 
-    /// Finds the features of `image` as `options` say.
+    /// Finds the features of `image` with these options.
     pub fn with_options(name: String, image: GrayView<'_>, options: &FeatureOptions) -> Self {
         let features = Arc::new(find_features(image, options));
         let patches = Some(Arc::new(PatchImage::of(image)));
@@ -62,8 +61,8 @@ impl SceneImage {
         self.features.keypoints.iter().map(|keypoint| keypoint.pixel)
     }
 
-    /// The first of the features that are where `feature` is: one keypoint has a feature for each
-    /// direction that dominates around it, but is measured once.
+    /// The first feature at the pixel of `feature`: a keypoint has one feature for each dominant
+    /// direction around it, but is measured once.
     fn keypoint_of(&self, feature: usize) -> usize {
         let keypoints = &self.features.keypoints;
         let at = keypoints[feature].pixel;
@@ -87,7 +86,7 @@ impl SceneImage {
     }
 }
 
-/// What the matches of all pairs of images say.
+/// What the matches of all pairs of images yield.
 #[derive(Debug, Clone)]
 pub(super) struct ImagePairs {
     pub problem: SceneProblem,
@@ -95,35 +94,36 @@ pub(super) struct ImagePairs {
     pub general: Vec<ImagePair>,
     /// Pairs that a homography explains.
     pub rotated: Vec<RotatedPair>,
-    /// The homography that explains most of each pair's matches, whatever it leaves: distortion
-    /// changes that of a camera that only rotated.
+    /// For each pair, the homography that explains most of its matches, however many it leaves:
+    /// distortion makes even a pure rotation deviate from a homography.
     pub homographies: Vec<RotatedPair>,
-    /// Pairs of which a homography explains nearly all.
+    /// The number of pairs of which a homography explains nearly all matches.
     pub nearly_planar: usize,
-    /// Pairs that share what stays at its place in the image, and nothing else.
+    /// The number of pairs that share only what stays at its place in the image.
     pub still: usize,
     /// The number of inlier matches between each image and the next.
     pub between_neighbors: Vec<usize>,
-    /// By image but the last, the part of its features that show what the next image shows at
-    /// several places.
+    /// For each image but the last: the fraction of its features that match several places of the
+    /// next image.
     pub repeated: Vec<f64>,
-    /// By image, an earlier one that shows the same from the same place: such an image is in no
-    /// pair and no track, since what it says was already said, errors and all.
+    /// For each image, an earlier one of the same view. Such an image is in no pair and no track:
+    /// it would repeat the earlier observations with the same errors.
     pub same_as: Vec<Option<usize>>,
 }
 
-/// The strongest features of each image, by which pairs that share nothing are recognized.
+/// The number of strongest features of each image that are matched first, to skip pairs that share
+/// nothing.
 const PREVIEWED: usize = 600;
 
-/// Two images between which nothing moved are of one view if this part of the features of the one
-/// that has fewer stayed; of others, what is written into the images stays.
+/// Two images between which nothing moved are of one view if at least this fraction of the features
+/// of the image with fewer features stayed. With less, only what is written into the images stayed.
 const SAME_PART: f64 = 0.2;
 
-/// Pairs with fewer preliminary matches share nothing: as many agree by chance.
+/// Pairs with fewer preliminary matches are skipped: as many arise by chance.
 const LEAST_PREVIEWED: usize = 6;
 
-/// Matches and verifies all pairs of `images`, with `threads` threads; none any more once
-/// `interrupt` is requested.
+/// Matches and verifies all pairs of `images` with `threads` threads. Stops early once `interrupt`
+/// is requested.
 pub(super) fn correspond(
     images: &[SceneImage],
     size: ImageSize,
@@ -199,11 +199,11 @@ pub(super) fn correspond(
     found
 }
 
-/// What the matches of a pair of images determine, with the matches.
+/// The matches of a pair of images, with the geometry that they determine.
 type Matched = Option<(Vec<Match>, Vec<PointPair>, TwoViewGeometry)>;
 
-/// The geometry of two images of which the one that has fewer has `features`, without what stays
-/// at its place in the image where the rest does not: a time stamp, dirt on the lens.
+/// The geometry of two images, without what stays at its place in the image while the rest moves: a
+/// time stamp, dirt on the lens. `features` is the feature count of the image that has fewer.
 pub(super) fn scene_geometry(
     pairs: &[PointPair],
     features: usize,
@@ -221,8 +221,8 @@ pub(super) fn scene_geometry(
     Some(of_rest)
 }
 
-/// Whether `geometry` is that of images of one view: nothing moved, of which the one that has fewer
-/// has `features`.
+/// Whether `geometry` is that of two images of one view: nothing moved. `features` is the feature
+/// count of the image that has fewer.
 pub(super) fn is_one_view(geometry: &TwoViewGeometry, features: usize) -> bool {
     let stayed = geometry.inliers.len() as f64;
     geometry.kind == TwoViewKind::Still && stayed >= SAME_PART * features as f64
@@ -232,8 +232,8 @@ fn fewer_features(first: &SceneImage, second: &SceneImage) -> usize {
     first.feature_count().min(second.feature_count())
 }
 
-/// By image, the first earlier one of the same view, of those that have none themselves: an image
-/// of a slow motion is compared with the last that was kept, not with the one before.
+/// For each image, the first earlier image of the same view that is not itself such a repetition:
+/// in a slow motion, an image is compared with the last one kept, not with its predecessor.
 fn same_views<'a>(
     images: &[SceneImage],
     matched: impl Iterator<Item = (&'a (usize, usize), &'a Matched)>,
@@ -253,13 +253,13 @@ fn same_views<'a>(
 }
 
 impl ImagePairs {
-    /// The part of an image's features that show what the next image shows at several places: the
-    /// median over the images.
+    /// The fraction of an image's features that match several places of the next image: the median
+    /// over the images.
     pub fn repeated_part(&self) -> f64 {
         median(self.repeated.clone()).unwrap_or(0.0)
     }
 
-    /// How many images show different views.
+    /// The number of images of different views.
     pub fn views(&self) -> usize {
         self.same_as.iter().filter(|same| same.is_none()).count()
     }
@@ -309,7 +309,8 @@ fn track_point(images: &[SceneImage], image: usize, feature: usize) -> TrackPoin
     }
 }
 
-/// `work` on each of `items`, in their order whatever the number of threads.
+/// Applies `work` to each of `items`; the results are in their order whatever the number of
+/// threads.
 pub(super) fn in_parallel<T: Sync, R: Send>(
     items: &[T],
     threads: usize,

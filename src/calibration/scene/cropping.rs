@@ -1,7 +1,7 @@
-//! Whether the images are parts of what the camera took: the principal point of a whole image is
-//! near its middle, that of a part anywhere. The lens is fitted under both, and the fits are
-//! averaged by how likely they are after the images: where these say little of the principal point,
-//! its standard deviation follows from how likely parts were beforehand.
+//! Whether the images are crops of what the camera took. The principal point of a whole image is
+//! near its middle, that of a crop anywhere. The lens is fitted under both priors, and the fits are
+//! averaged by their posterior probability. Where the images determine the principal point poorly,
+//! its standard deviation thus follows from the prior probability of a crop.
 
 use nalgebra::DVector;
 
@@ -10,20 +10,20 @@ use crate::estimation::scene::covariance::lens_covariance;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 
-/// How often images of a shape that cameras have are parts of larger ones.
+/// Prior probability that images with a camera's aspect ratio are crops.
 const KNOWN_SHAPE: f64 = 0.03;
-/// How often images of another shape are: some sensors have one, but most such images were cropped
-/// or rectified.
+/// The same for another aspect ratio: some sensors have one, but most such images were cropped or
+/// rectified.
 const OTHER_SHAPE: f64 = 0.5;
 
-/// Widths over heights of sensors and of what is read from them.
+/// Aspect ratios (width over height) of sensors and of their readout modes.
 const SHAPES: [f64; 8] =
     [1.0, 5.0 / 4.0, 4.0 / 3.0, 3.0 / 2.0, 752.0 / 480.0, 16.0 / 10.0, 16.0 / 9.0, 17.0 / 9.0];
-/// Shapes differ by less, as a part of themselves: 4256 × 2832 is called 3:2 and 848 × 480 16:9,
-/// and the heights of reduced images are rounded.
+/// Aspect ratios that differ by less are the same (relative difference): 4256 × 2832 is called 3:2
+/// and 848 × 480 16:9, and the heights of reduced images are rounded.
 const SAME_SHAPE: f64 = 0.0065;
 
-/// How likely images of `size` are parts of larger ones, before what they show.
+/// The prior probability that images of `size` are crops.
 fn cropped_beforehand(size: ImageSize) -> f64 {
     let (long, short) = (size.width.max(size.height), size.width.min(size.height).max(1));
     let shape = f64::from(long) / f64::from(short);
@@ -31,8 +31,8 @@ fn cropped_beforehand(size: ImageSize) -> f64 {
     if is_known { KNOWN_SHAPE } else { OTHER_SHAPE }
 }
 
-/// The fit of whole images, `whole`, averaged with that of parts. What is likelier is the estimate,
-/// and the covariance that of both about it.
+/// The fit under the prior of whole images, `whole`, averaged with the fit under the prior of
+/// crops. The more probable fit is the estimate; the covariance is that of the mixture about it.
 pub(super) fn averaged_over_cropping(whole: LensFit) -> LensFit {
     if whole.fit.bundle.prior.cropped {
         return LensFit { cropped: 1.0, ..whole };
@@ -55,8 +55,8 @@ pub(super) fn averaged_over_cropping(whole: LensFit) -> LensFit {
     fit
 }
 
-/// The same under the prior of images that are parts; `None` where the principal point is given, or
-/// nothing is determined any more.
+/// The same fit under the prior of crops; `None` where the principal point is given, or where that
+/// leaves parameters undetermined.
 fn as_part(whole: &LensFit) -> Option<LensFit> {
     if center_parameters(whole) == 0 {
         return None;
@@ -74,8 +74,8 @@ fn center_parameters(fit: &LensFit) -> usize {
     fit.fit.bundle.free.iter().filter(|k| [Lens::CX, Lens::CY].contains(k)).count()
 }
 
-/// The logarithm of how likely the observations are under a fit's prior, by Laplace's
-/// approximation, up to what fits under either share.
+/// The logarithm of the evidence of the observations under a fit's prior, by Laplace's
+/// approximation, up to a constant that both fits share.
 fn log_evidence(fit: &LensFit) -> f64 {
     let bundle = &fit.fit.bundle;
     let Some(root) = fit.covariance.independent.clone().cholesky() else {

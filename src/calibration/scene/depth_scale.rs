@@ -1,13 +1,13 @@
 //! The unit of a scene's lengths from depth images that were taken together with its images.
 //!
-//! A scene point has a depth in the depth camera, up to the scale of all lengths; the depth image
-//! has a reading there, in meters. Only surfaces count: a plane is fitted to the readings around
-//! the place, and where it does not fit, near the edge of something, the place says nothing. Where
-//! a point lies in the depth image depends a little on the scale (the sensors are some centimeters
-//! from each other), so that both are found alternately.
+//! A scene point has a depth in the depth camera, up to the common scale of all lengths; the depth
+//! image has a reading there, in meters. Only readings on surfaces count: a plane is fitted to the
+//! readings around the pixel, and where it does not fit, at a depth edge, the pixel is skipped.
+//! Where a point projects into the depth image depends a little on the scale (the sensors are some
+//! centimeters from each other), so that scale and projections are found alternately.
 //!
-//! What depth and color cannot show is a factor on all depth: the stated unit is taken as it is,
-//! and the depth camera's own scale as depth cameras have it.
+//! A common factor on all depth cannot be observed: the stated unit is taken as it is, and the
+//! depth camera's own scale error is taken from what such cameras have.
 
 use std::sync::Arc;
 
@@ -28,22 +28,22 @@ use crate::imaging::depth_image::DepthImage;
 /// Depth that was taken together with the images of a scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SceneDepth {
-    /// What is known of the depth camera.
+    /// The depth camera, as far as it is known.
     pub sensor: DepthSensor,
     /// By image, in the order of the images; `None` for one without depth.
     pub images: Vec<Option<Arc<DepthImage>>>,
 }
 
-/// Why lengths stay without a unit.
+/// Why lengths have no unit.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum NoScale {
     /// A rotation has no lengths.
     #[error("the camera only rotated, which has no lengths; move it too")]
     OnlyRotated,
-    /// Disparity of unknown meaning.
+    /// The meaning of the disparity is unknown.
     #[error("what depth's numbers mean is not stated: state it, or calibrate depth with a board")]
     NoReading,
-    /// Where a point lies in the depth image is not known.
+    /// The depth camera's lens or pose is unknown, so a point's pixel in the depth image is too.
     #[error(
         "depth's lens and where it is from color are not stated: a folder's sensors.toml has depth.lens and color_from_depth, a recording the camera_info and tf_static of both"
     )]
@@ -56,7 +56,7 @@ pub enum NoScale {
         /// Another.
         other: ImageSize,
     },
-    /// Next to nothing was measured where points are.
+    /// Too few scene points have a reading.
     #[error(
         "depth measured {readings} surfaces with scene points in {views} images, which is too few: show surfaces within depth's reach"
     )]
@@ -66,7 +66,7 @@ pub enum NoScale {
         /// Images with any.
         views: usize,
     },
-    /// Scene and depth are of different things.
+    /// The depth images do not show the scene.
     #[error(
         "depth does not fit the scene (ratios scatter by {percent:.0} %): check that depth is of the same moments, and its lens and pose"
     )]
@@ -84,44 +84,44 @@ pub enum NoScale {
     },
 }
 
-/// Readings on each side of a place that its plane is fitted to, in pixels: five by five are enough
-/// to show an edge and to average noise, and few enough to be one surface.
+/// Readings on each side of a pixel that its plane is fitted to, in pixels: five by five are enough
+/// to show a depth edge and to average noise, and few enough to lie on one surface.
 const AROUND: usize = 2;
-/// Readings that a plane is fitted to at least, of the 25.
+/// The least number of valid readings that a plane is fitted to, of the 25.
 const LEAST_AROUND: usize = 17;
-/// Readings that are off their plane by more than this part of the depth (root mean square) are not
-/// of one surface: a step of a tenth leaves a fortieth.
+/// Readings whose root mean square distance from their plane exceeds this fraction of the depth are
+/// not on one surface: a step of a tenth leaves a fortieth.
 const OFF_PLANE: f64 = 0.025;
-/// Points whose own depth is less certain than this part of itself do not count: rays that are
-/// nearly parallel meet anywhere.
+/// Points whose relative standard deviation of depth is greater than this are skipped: nearly
+/// parallel rays hardly determine where they meet.
 const LARGEST_POINT_STD: f64 = 0.1;
-/// No comparison is taken to be more certain than this part of the depth: depth cameras have
-/// errors of that size that change over the image.
+/// The least relative standard deviation of one comparison: depth cameras have errors of that size
+/// that vary over the image.
 const LEAST_STD: f64 = 0.005;
-/// Observations are not taken to be more certain than this, in pixels.
+/// The least standard deviation of an observation, in pixels.
 const LEAST_NOISE_PX: f64 = 0.2;
-/// Fewer readings, or of fewer images, do not show how they differ.
+/// Fewer readings, or readings from fewer images, do not show how much they scatter.
 const LEAST_READINGS: usize = 30;
 const LEAST_VIEWS: usize = 3;
-/// Ratios with a greater standard deviation, as a part of themselves, are not of one scene: depth
-/// cameras measure to some per cent.
+/// If the ratios' relative standard deviation is greater, depth and scene do not match: depth
+/// cameras are accurate to a few percent.
 const LARGEST_STD: f64 = 0.1;
-/// What depth cameras measure, in meters, with room to both sides.
+/// The range that depth cameras measure, in meters, with some margin on both sides.
 const PLAUSIBLE_M: [f64; 2] = [0.03, 100.0];
-/// How often scale and places are found alternately: sensors are a hundredth of the depth from each
-/// other, so that each round is a hundred times nearer.
+/// The greatest number of alternations of scale and projections: the sensors' distance is about a
+/// hundredth of the depth, so each round divides the error by about a hundred.
 const MOST_ROUNDS: usize = 8;
-/// Scales that differ by less are the same.
+/// The alternation ends once the logarithm of the scale changes by less.
 const SAME: f64 = 1e-6;
-/// The standard deviation of a depth camera's own scale, as a part of it: cameras are sold as
-/// within 2 %, which are two of these.
+/// The relative standard deviation of a depth camera's own scale: cameras are sold as within 2 %,
+/// which is two of these.
 const OWN_SCALE_STD: f64 = 0.01;
-/// Regions along each side of the depth image, in which its error is much the same.
+/// Regions along each side of the depth image; the depth error is about constant within one.
 const REGIONS: usize = 4;
 
 impl SceneCalibration {
-    /// The same with lengths in meters where `depth` gives them; where not, with the reason among
-    /// those of the verdict.
+    /// The calibration with lengths in meters, if `depth` gives the scale; if not, the verdict gets
+    /// the reason.
     #[must_use]
     pub fn in_meters(mut self, depth: &SceneDepth) -> Self {
         match scale_of(&self, depth) {
@@ -144,7 +144,7 @@ impl SceneCalibration {
     }
 }
 
-/// How many meters a unit of the scene is, and how well that is known.
+/// How many meters a unit of the scene is, with its uncertainty.
 fn scale_of(scene: &SceneCalibration, depth: &SceneDepth) -> Result<(f64, SceneScale), NoScale> {
     if scene.conditions.motion == CameraMotion::RotationOnly {
         return Err(NoScale::OnlyRotated);
@@ -183,13 +183,14 @@ fn scale_of(scene: &SceneCalibration, depth: &SceneDepth) -> Result<(f64, SceneS
     if !(PLAUSIBLE_M[0]..PLAUSIBLE_M[1]).contains(&distance_m) {
         return Err(NoScale::Implausible { distance_m });
     }
-    // Depth is along the axis. Across it lengths are as wrong as the focal length.
+    // Depth is measured along the optical axis; lengths across it inherit the focal length's
+    // relative error.
     let focal_std = scene.sensor.lens_std[0] / scene.sensor.lens.matrix.fx;
     let relative_std = relative_std.hypot(focal_std).hypot(OWN_SCALE_STD);
     Ok((unit_m, SceneScale { relative_std, readings: used, views }))
 }
 
-/// What is known of the depth camera, where that is enough.
+/// The depth camera, where enough of it is known.
 struct SceneDepthCamera {
     camera: DepthCamera,
     invalid: Option<u16>,
@@ -211,7 +212,7 @@ impl SceneDepthCamera {
         Ok(Some(Self { camera, invalid, depth_from_color }))
     }
 
-    /// The surface at `pixel`; `None` where no one surface was measured.
+    /// The surface at `pixel`; `None` where the readings do not lie on one surface.
     fn surface(&self, image: &DepthImage, pixel: Pixel) -> Option<Surface> {
         let ImageSize { width, height } = self.camera.image_size;
         let margin = AROUND as f64;
@@ -245,12 +246,12 @@ impl SceneDepthCamera {
 struct Surface {
     /// 1/z, in 1/m.
     inverse_depth: f64,
-    /// The standard deviation of that, as a part of it.
+    /// Its relative standard deviation.
     relative_std: f64,
 }
 
-/// The value at the origin of the plane through `samples` (1, x, y → 1/z, in which a plane is
-/// linear); `None` where they are not of one plane.
+/// The plane through `samples` (1, x, y → 1/z, in which a plane is linear), evaluated at the
+/// origin; `None` where they do not lie on one plane.
 fn on_plane(samples: &[(Vector3<f64>, f64)]) -> Option<Surface> {
     let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
     for (terms, inverse) in samples {
@@ -267,13 +268,13 @@ fn on_plane(samples: &[(Vector3<f64>, f64)]) -> Option<Surface> {
         .then_some(Surface { inverse_depth, relative_std })
 }
 
-/// A measured depth beside a point's.
+/// A measured depth, compared with that of the scene point.
 struct Compared {
-    /// The logarithm of the measured over the point's.
+    /// The logarithm of the measured depth over the point's depth.
     log_ratio: f64,
-    /// The standard deviation of the measured, as a part of it.
+    /// The relative standard deviation of the measured depth.
     relative_std: f64,
-    /// The measured.
+    /// The measured depth.
     depth_m: f64,
     /// The region of the depth image.
     region: usize,
@@ -284,14 +285,14 @@ struct DepthComparison<'a> {
     scene: &'a SceneCalibration,
     depth: &'a SceneDepth,
     camera: SceneDepthCamera,
-    /// The points whose own depth is known, by their place in the list, each with the standard
-    /// deviation of its depth as a part of it.
+    /// The points whose depth is determined well enough, as indices, each with its relative
+    /// standard deviation of depth.
     certain: Vec<(usize, f64)>,
 }
 
 impl DepthComparison<'_> {
-    /// All comparisons where a unit of the scene is `unit_m` meters; without it, as if the depth
-    /// camera were where color is, against units of the scene.
+    /// All comparisons, if a unit of the scene is `unit_m` meters. Without `unit_m`, the distance
+    /// between the sensors is neglected, and ratios are against units of the scene.
     fn readings(&self, unit_m: Option<f64>) -> Vec<ScaleReading> {
         let mut readings = Vec::new();
         for (point, point_std) in &self.certain {
@@ -332,7 +333,7 @@ impl DepthComparison<'_> {
         (in_depth.z > 0.0).then_some(Compared { log_ratio, relative_std, depth_m, region })
     }
 
-    /// The median depth of points in color, in units of the scene.
+    /// The median depth of the points in the color cameras, in units of the scene.
     fn median_depth(&self) -> f64 {
         let depths = self.certain.iter().flat_map(|(point, _)| {
             let ScenePoint { point, seen, .. } = &self.scene.points[*point];
@@ -348,8 +349,8 @@ fn scene_points(scene: &SceneCalibration) -> Vec<Point3<f64>> {
     scene.points.iter().map(|point| point.point).collect()
 }
 
-/// The points whose depth is certain, each with its standard deviation as a part of it: the noise
-/// of their pixels over the focal length and the widest angle between their rays.
+/// The points whose depth is determined well enough, each with its relative standard deviation: the
+/// pixel noise over the focal length and the widest angle between its rays.
 fn certain_points(scene: &SceneCalibration) -> Vec<(usize, f64)> {
     let centers: Vec<Option<Point3<f64>>> = scene
         .views

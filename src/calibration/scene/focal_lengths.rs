@@ -1,5 +1,5 @@
-//! Whether images are by one focal length, by what they show: two cameras, a zoom that was moved,
-//! or a focus that follows what is near.
+//! Whether the images, by what they show, have one focal length. They do not if they are from two
+//! cameras, if the zoom was moved, or if the autofocus followed the scene.
 
 use nalgebra::{DVector, RowDVector};
 
@@ -9,24 +9,24 @@ use crate::estimation::scene::focal_by_image::{FocalByImage, separate_focals};
 use crate::estimation::scene::reconstruction::Reconstruction;
 use crate::geometry::lens::Lens;
 
-/// Images that have another focal length than the others.
+/// Images whose focal length differs from the others'.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct OtherFocals {
-    /// The fewer ones, by pose.
+    /// The smaller group of images, as indices of poses.
     pub poses: Vec<usize>,
-    /// Their focal length over that of the others.
+    /// Their focal length over that of the other group.
     pub ratio: f64,
-    /// The standard deviation of the focal lengths of all images, as a part of them.
+    /// The relative standard deviation of the focal lengths of all images.
     pub relative_std: f64,
 }
 
-/// Less of a difference, as a part of the focal length, is nothing to act on: the image of a lens
-/// changes as much with where it is focused.
+/// The least relative difference of focal lengths that counts: focusing alone changes that of a
+/// lens by as much.
 const LEAST_DIFFERENCE: f64 = 0.005;
 
-/// The two groups of images that differ most, where that is no chance. All observations of `start`
-/// are asked: those of images by another focal length are wrong beside the others', and `fit` may
-/// have dropped them.
+/// The two groups of images whose focal lengths differ most, if the difference is significant. Uses
+/// all observations of `start`: those of images with another focal length are outliers to the
+/// common lens, and `fit` may have dropped them.
 pub(super) fn other_focals(start: &Reconstruction, fit: &LensFit) -> Option<OtherFocals> {
     let bundle = Bundle { free: fit.fit.bundle.free.clone(), ..start.bundle.clone() };
     let mut state = start.state.clone();
@@ -54,10 +54,10 @@ pub(super) fn other_focals(start: &Reconstruction, fit: &LensFit) -> Option<Othe
     Some(OtherFocals { poses, ratio: log_ratio.exp(), relative_std })
 }
 
-/// A square of a difference, in standard deviations, that is no chance where the best of all splits
-/// of images with `freedom` differences was taken: it is at most the sum of the squares of as many
-/// normal deviates, which exceeds its mean by four standard deviations and ten less than once in
-/// ten thousand.
+/// The critical value for the square of a difference in standard deviations, given that the best
+/// split of the images, with `freedom` degrees of freedom, was taken. That square is at most a
+/// chi-square variable, which exceeds its mean by four standard deviations and ten less than once
+/// in ten thousand.
 fn no_chance(freedom: usize) -> f64 {
     let freedom = freedom as f64;
     freedom + 4.0 * (2.0 * freedom).sqrt() + 10.0
@@ -71,7 +71,7 @@ struct Contrast {
 }
 
 impl Contrast {
-    /// Of the images in `larger` to all others, by generalized least squares.
+    /// The contrast of the images in `larger` to all others, by generalized least squares.
     fn of(found: &FocalByImage, larger: &[usize]) -> Option<Self> {
         let count = found.log_ratios.len();
         let weights = found.covariance.clone().cholesky()?;
@@ -89,7 +89,7 @@ impl Contrast {
     }
 }
 
-/// Adds to the covariance of `fit` that its focal length is one of several.
+/// Adds to the covariance of `fit` the scatter of the images' focal lengths.
 pub(super) fn widen(fit: &mut LensFit, others: &OtherFocals) {
     let matrix = fit.fit.state.lens.matrix;
     let focal = |parameter: usize| match parameter {
@@ -103,7 +103,7 @@ pub(super) fn widen(fit: &mut LensFit, others: &OtherFocals) {
     fit.covariance.matrix += &off * off.transpose();
 }
 
-/// What to say of it; `name` names the image of a pose.
+/// The reason for the verdict; `name` names the image of a pose.
 pub(super) fn reason(others: &OtherFocals, name: impl Fn(usize) -> String) -> String {
     const NAMED: usize = 4;
     let mut poses = others.poses.clone();

@@ -12,8 +12,7 @@ use crate::estimation::scene::reconstruction::Reconstruction;
 use crate::estimation::scene::robust_bundle::fit_robustly;
 use crate::geometry::lens::{Lens, LensModel};
 
-/// Models with more coefficients are not compared by `auto`: eight are beyond what scenes
-/// determine.
+/// Models with more coefficients are not compared by `auto`: scenes do not determine eight.
 const MOST_COEFFICIENTS: usize = 5;
 
 /// A larger model is taken if it lowers the cost by more than this, per parameter, in squared
@@ -21,7 +20,7 @@ const MOST_COEFFICIENTS: usize = 5;
 /// in 500.
 const WORTH: f64 = 6.0;
 
-/// Fits the lens that is asked for.
+/// Fits a lens according to `choice`.
 pub(super) fn fit_lens(
     start: &Reconstruction,
     choice: LensChoice,
@@ -41,9 +40,9 @@ fn choose(start: &Reconstruction, given: &[GivenParameter]) -> Result<LensFit, S
     let mut fits: Vec<LensFit> = Vec::new();
     let mut refusal = SceneRefusal::NoFit;
     let mut compared: Vec<LensModel> = determined_models().filter(knows).collect();
-    // A smaller polynomial is a larger one with coefficients at exactly 0, as no lens has them: it
-    // would leave the principal point to what tangential distortion does. Priors bound coefficients
-    // that the images leave open.
+    // A smaller polynomial is a larger one with coefficients fixed at exactly 0, which real lenses
+    // do not have: its principal point would absorb tangential distortion. Where the images leave
+    // coefficients open, the priors bound them.
     let largest = largest_polynomial(start, &compared);
     compared.retain(|model| Some(*model) == largest || !is_polynomial(start, *model));
     compared.sort_by_key(|model| model.facts().auto_order);
@@ -53,7 +52,7 @@ fn choose(start: &Reconstruction, given: &[GivenParameter]) -> Result<LensFit, S
             Err(error) => refusal = error,
         }
     }
-    // All are judged on the observations and the noise of the one that explains most.
+    // All models are compared on the observations and the noise of the model that fits best.
     let Some(closest) =
         fits.iter().min_by(|a, b| a.fit.noise_factor.total_cmp(&b.fit.noise_factor))
     else {
@@ -87,7 +86,7 @@ fn choose(start: &Reconstruction, given: &[GivenParameter]) -> Result<LensFit, S
     Ok(fit)
 }
 
-/// The models that scenes determine.
+/// The models that scenes can determine.
 fn determined_models() -> impl Iterator<Item = LensModel> {
     LensModel::compared().filter(|model| model.coefficient_names().len() <= MOST_COEFFICIENTS)
 }
@@ -97,7 +96,7 @@ fn largest_polynomial(start: &Reconstruction, models: &[LensModel]) -> Option<Le
     polynomials.max_by_key(|model| model.coefficient_names().len())
 }
 
-/// The bundle of `start` and its state, with distortion as freely estimated as scenes determine it.
+/// The bundle of `start` and its state, with as much distortion free as scenes can determine.
 pub(super) fn with_free_distortion(start: &Reconstruction) -> (Bundle, SceneState) {
     let (mut bundle, mut state) = (start.bundle.clone(), start.state.clone());
     let models: Vec<LensModel> = determined_models().collect();
@@ -150,8 +149,8 @@ fn fit_model(
     let bundle = Bundle { free, ..start.bundle.clone() };
     let mut fit = fit_robustly(bundle, state, FITTING);
     let alone = lens_covariance(&fit.bundle, &fit.state, 1.0).ok_or(SceneRefusal::NoFit)?;
-    // Observations that err together say as little as fewer that do not: against the priors, and
-    // between models, they count as much as they say.
+    // Observations with correlated errors carry less information than as many independent ones:
+    // they are weighted down against the priors, and between models.
     let widened = alone.shared;
     fit.bundle.rescaled(widened.sqrt());
     fit.state = fit.bundle.minimize(fit.state, FITTING);
@@ -160,7 +159,7 @@ fn fit_model(
     Ok(averaged_over_cropping(LensFit { fit, covariance, cropped: 0.0 }))
 }
 
-/// Whether `model` is one of the family of Brown's polynomials.
+/// Whether `model` belongs to the family of Brown's polynomials.
 fn is_polynomial(start: &Reconstruction, model: LensModel) -> bool {
     let mut parameters = start.bundle.prior.mean(model);
     parameters[..Lens::FIRST_COEFFICIENT]
@@ -169,7 +168,7 @@ fn is_polynomial(start: &Reconstruction, model: LensModel) -> bool {
         .is_some_and(|lens| lens.distortion.as_rational().is_some())
 }
 
-/// The start's camera matrix with the model's most likely coefficients.
+/// The camera matrix of `start` with the most likely coefficients of the model.
 fn first_guess(start: &Reconstruction, model: LensModel) -> Vec<f64> {
     let known = start.state.lens.parameters();
     let mut parameters = start.bundle.prior.mean(model);

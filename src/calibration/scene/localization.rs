@@ -1,9 +1,9 @@
-//! Where the images of a reconstruction show the same point of a surface, more exactly than
-//! keypoints do. The extremum of a scale space lies elsewhere on a surface when that is seen at
-//! another slant, and the center of a spot is not seen at the center of its image: errors that
-//! neighboring images share, and that a lens takes up. So one image's patch is found again in the
-//! others by least squares (A. Grün, *Adaptive least squares correlation*, 1985), warped as the
-//! surface's slope, the poses and the lens say; the slope is one of the unknowns.
+//! Localizes the points of a reconstruction in its images more exactly than keypoints do. The
+//! extremum of a scale space lies elsewhere on a surface that is seen at another slant, and the
+//! center of a spot does not project to the center of its image: neighboring images share these
+//! errors, and a lens fit absorbs them. So the patch of one image is matched in the others by least
+//! squares (A. Grün, *Adaptive least squares correlation*, 1985), warped by the surface's slope,
+//! the poses and the lens; the slope is one of the unknowns.
 
 use nalgebra::{Matrix2, Matrix4, Matrix4x2, Point2, Vector2, Vector3, Vector4};
 
@@ -17,29 +17,31 @@ use crate::geometry::pose::Pose;
 
 /// Samples along each side of a patch.
 const SAMPLES: usize = 11;
-/// Half the side of a patch, in keypoint scales: what a descriptor's inner places cover.
+/// Half the side of a patch, in keypoint scales: about what the inner cells of a descriptor cover.
 const RADIUS_SCALES: f64 = 3.0;
-/// Half the side of a patch at least and at most, in pixels.
+/// Bounds of half the side of a patch, in pixels.
 const RADIUS_PX: [f64; 2] = [4.0, 12.0];
-/// Steps of the fit.
+/// The greatest number of steps of the fit.
 const STEPS: usize = 10;
-/// The last step moves no view by more, in pixels.
+/// The fit ends once no view moves by more, in pixels.
 const SETTLED_PX: f64 = 0.01;
-/// No step is longer, in pixels.
+/// The longest step of a view, in pixels.
 const LONGEST_STEP_PX: f64 = 1.0;
-/// Patches that correlate less show different things, or their border.
+/// Patches with less correlation show different things, or an occlusion boundary.
 const LEAST_CORRELATION: f64 = 0.85;
-/// A spot farther from its keypoint than this, and than this part of its scale, is another one.
+/// The match may be this far from the keypoint: the first in pixels, plus the second times its
+/// scale.
 const FARTHEST: [f64; 2] = [0.5, 0.5];
-/// Surfaces slope by this, as the tangent of the angle to the image, one standard deviation.
+/// Standard deviation of the prior on a surface's slope, as the tangent of the angle to the image.
 const SLOPE_STD: f64 = 1.5;
-/// A step in luma that counts beside that, of 255.
+/// Standard deviation of luma, of 255, against which that prior is weighted; patches with less
+/// contrast are not matched.
 const LUMA_STD: f64 = 2.0;
-/// What interpolation errs by at least, in pixels of the sampled image.
+/// The least error of interpolation, in pixels of the sampled image.
 const LEAST_STD_PX: f64 = 0.03;
 
 /// Moves the observations of `start` to where the images show the same spot, with the standard
-/// deviations that the patches have. What is not found again stays as it is.
+/// deviations of the patch fits. Observations that are not matched stay as they are.
 pub(super) fn localize(images: &[SceneImage], start: &mut Reconstruction, threads: usize) {
     let patches: Option<Vec<&PatchImage>> =
         start.images.iter().map(|image| images[*image].patches()).collect();
@@ -58,7 +60,7 @@ pub(super) fn localize(images: &[SceneImage], start: &mut Reconstruction, thread
     }
 }
 
-/// Where each observation of a point truly is, with the standard deviation of each coordinate.
+/// The refined pixel of each observation of a point, with the standard deviation per coordinate.
 fn located(
     patches: &[&PatchImage],
     bundle: &Bundle,
@@ -103,7 +105,7 @@ fn located(
     Some(located)
 }
 
-/// The observation whose direction is nearest to the mean of all: the others differ least from it.
+/// The observation whose ray is closest to the mean of all rays: the others differ least from it.
 fn reference(state: &SceneState, seen: &[SceneObservation], point: usize) -> usize {
     let point = state.points[point];
     let ray = |seen: &SceneObservation| {
@@ -115,32 +117,33 @@ fn reference(state: &SceneState, seen: &[SceneObservation], point: usize) -> usi
     (0..seen.len()).max_by(|a, b| nearness(a).total_cmp(&nearness(b))).unwrap_or(0)
 }
 
-/// What the reference shows.
+/// The patch of the reference image.
 struct Spot {
     camera_from_scene: Pose,
-    /// Normalized coordinates of three by three places of the patch, row by row.
+    /// Normalized coordinates of a grid of three by three places in the patch, row by row.
     places: [Point2<f64>; 9],
-    /// One over the depth of the middle.
+    /// The inverse depth of the patch's center.
     inverse_depth: f64,
     /// Luma at the samples, row by row, its mean 0 and its mean square 1.
     luma: [f64; SAMPLES * SAMPLES],
-    /// How many samples say as much as one that is a pixel from the next, 1 or more.
+    /// The number of samples per pixel, at least 1: samples closer than a pixel are not
+    /// independent.
     independent: f64,
 }
 
-/// Where along a side a sample lies, -1 to 1.
+/// The position of sample `k` along a side, -1 to 1.
 fn side(k: usize) -> f64 {
     2.0 * k as f64 / (SAMPLES - 1) as f64 - 1.0
 }
 
-/// How much a row or column of samples counts: exp(−2 t²), a Gaussian whose σ is half the patch's
-/// half side.
+/// The weight of a row or column of samples: exp(−2 t²), a Gaussian whose σ is half of half the
+/// patch's side.
 const WEIGHTS: [f64; SAMPLES] = [
     0.135_335, 0.278_037, 0.486_752, 0.726_149, 0.923_116, 1.0, 0.923_116, 0.726_149, 0.486_752,
     0.278_037, 0.135_335,
 ];
 
-/// How much a sample counts.
+/// The weight of sample `k`.
 fn weight(k: usize) -> f64 {
     WEIGHTS[k % SAMPLES] * WEIGHTS[k / SAMPLES]
 }
@@ -180,7 +183,8 @@ impl Spot {
         Some(Self { camera_from_scene, places, inverse_depth, luma, independent })
     }
 
-    /// Moves all views; the step of the slope, and by how many pixels a view moved at most.
+    /// One Gauss–Newton step of all views, their own unknowns eliminated by the Schur complement.
+    /// Returns the step of the slope, and the longest step of a view in pixels.
     fn step(
         &self,
         views: &mut [Option<OtherView<'_>>],
@@ -231,17 +235,17 @@ fn mean_and_std(luma: &[f64; SAMPLES * SAMPLES]) -> (f64, f64) {
     (mean, (squares / total - mean * mean).max(0.0).sqrt())
 }
 
-/// Another image of the spot.
+/// Another image that shows the spot.
 struct OtherView<'a> {
     image: &'a PatchImage,
     view_from_reference: Pose,
-    /// From where the point is projected to where the spot is.
+    /// From the projection of the point to the matched spot.
     offset: Vector2<f64>,
     gain: f64,
     level: f64,
 }
 
-/// The normal equations of one view: of its offset, gain and level, and of the slope.
+/// The normal equations of one view: over its offset, gain and level, and over the slope.
 struct ViewEquations {
     own: Matrix4<f64>,
     own_gradient: Vector4<f64>,
@@ -271,7 +275,7 @@ impl<'a> OtherView<'a> {
         (std >= LUMA_STD).then_some(view)
     }
 
-    /// Where the spot's places are projected to if its surface slopes by `slope`.
+    /// Where the patch's places project to if the surface slopes by `slope`.
     fn warp(&self, spot: &Spot, lens: &Lens, slope: Vector2<f64>) -> Option<Warp> {
         let rotation = self.view_from_reference.rotation_matrix();
         let translation = self.view_from_reference.translation();
@@ -293,7 +297,7 @@ impl<'a> OtherView<'a> {
         Some(Warp { nodes, by_depth, span })
     }
 
-    /// Luma and its slope at each sample.
+    /// Luma and its gradient at each sample.
     fn samples(&self, warp: &Warp) -> Option<[(f64, Vector2<f64>); SAMPLES * SAMPLES]> {
         let mut samples = [(0.0, Vector2::zeros()); SAMPLES * SAMPLES];
         for row in 0..SAMPLES {
@@ -334,12 +338,12 @@ impl<'a> OtherView<'a> {
         Some(e)
     }
 
-    /// Where the spot is, and the standard deviation of each coordinate; `None` where the images
+    /// The matched pixel and the standard deviation of each coordinate; `None` where the images
     /// show different things.
     fn found(&self, spot: &Spot, lens: &Lens, slope: Vector2<f64>) -> Option<(Pixel, f64)> {
         let equations = self.equations(spot, lens, slope)?;
         let total: f64 = (0..SAMPLES * SAMPLES).map(weight).sum();
-        // Luma of the spot has unit variance: what is explained of the view's is the gain's square.
+        // The reference patch has unit variance, so the gain's square is the explained variance.
         let explained = self.gain * self.gain * total;
         let correlation2 = explained / (explained + equations.residual_squares);
         if self.gain <= 0.0 || correlation2 < LEAST_CORRELATION * LEAST_CORRELATION {
@@ -354,10 +358,10 @@ impl<'a> OtherView<'a> {
     }
 }
 
-/// Where a patch is projected to: three by three places, between them by parabolas.
+/// Where a patch projects to: three by three nodes, with parabolas between them.
 struct Warp {
     nodes: [Vector2<f64>; 9],
-    /// Pixels by the relative inverse depth.
+    /// The derivative of the pixel by the relative inverse depth.
     by_depth: Vector2<f64>,
     /// Normalized coordinates of the reference along both sides of the patch.
     span: [Vector2<f64>; 2],

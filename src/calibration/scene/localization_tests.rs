@@ -14,7 +14,7 @@ fn light(u: f64, v: f64) -> f64 {
     127.5 + 26.0 * waves.iter().map(|(a, b, c)| (a * u + b * v + c).sin()).sum::<f64>()
 }
 
-/// What a camera sees of the plane z = 0.
+/// A camera's image of the plane z = 0.
 fn image(lens: &Lens, camera_from_scene: &Pose) -> GrayImage {
     let scene_from_camera = camera_from_scene.inverse();
     let center = scene_from_camera.translation();
@@ -27,8 +27,8 @@ fn image(lens: &Lens, camera_from_scene: &Pose) -> GrayImage {
     GrayImage::from_pixels(SIZE.width as usize, SIZE.height as usize, pixels.collect()).unwrap()
 }
 
-/// A reconstruction of points of the plane whose keypoints are off in all images but the first,
-/// with where they truly are.
+/// A reconstruction of points on the plane whose keypoints have errors in all images but the first,
+/// with their true positions.
 fn off_by(offset: [f64; 2], cameras_from_scene: &[Pose]) -> (Reconstruction, Vec<Vec<Pixel>>) {
     let parameters = [300.0, 300.0, 161.0, 118.0, 0.0, -0.15];
     let lens = Lens::from_parameters(LensModel::Radial, &parameters).unwrap();
@@ -60,7 +60,7 @@ fn off_by(offset: [f64; 2], cameras_from_scene: &[Pose]) -> (Reconstruction, Vec
     (Reconstruction { images: (0..cameras_from_scene.len()).collect(), bundle, state }, truth)
 }
 
-/// One camera before the plane, the others around it, to the sides of the mean direction.
+/// One camera in front of the plane, the others around it, to the sides of the mean direction.
 fn cameras_from_scene() -> Vec<Pose> {
     let rotated = |angle: f64| {
         let rotation = Vector3::new(0.1 * angle, angle, 0.2 * angle);
@@ -74,8 +74,8 @@ fn scene_images(cameras_from_scene: &[Pose], lens: &Lens) -> Vec<SceneImage> {
     images.map(|image| SceneImage::of(String::new(), image.view())).collect()
 }
 
-/// Spots of a slanted surface are found, whatever keypoints were off by, as exactly as is said, and
-/// nearly all to a fiftieth of a pixel.
+/// Spots on a slanted surface are localized as accurately as predicted, whatever the errors of
+/// their keypoints, and nearly all to a fiftieth of a pixel.
 #[test]
 fn spots_are_found_at_any_slant() {
     let cameras_from_scene = cameras_from_scene();
@@ -97,7 +97,7 @@ fn spots_are_found_at_any_slant() {
     assert!(moved >= 100 && exact > moved && rms < 1.2, "{moved} {exact} {rms}");
 }
 
-/// An image that shows something else there moves nothing.
+/// An image that shows something else at the spot moves nothing.
 #[test]
 fn other_things_are_left_alone() {
     let cameras_from_scene = cameras_from_scene();

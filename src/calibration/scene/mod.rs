@@ -1,5 +1,5 @@
-//! Calibration without a target: photographs of a static scene in, a lens out, with how far the
-//! photographs determine it, or why they do not.
+//! Calibration without a target. The input is photographs of a static scene; the result is a lens
+//! with its uncertainty, or the reason why the photographs do not determine it.
 //!
 //! ```text
 //! images --correspondence--> pairs and tracks --estimation::scene--> lens, poses, points

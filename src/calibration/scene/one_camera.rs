@@ -1,14 +1,14 @@
-//! Whether all images are by one camera with one lens setting, by what their files state.
+//! Whether all images are from one camera with one lens setting, by what their files state.
 
 use crate::calibration::scene::correspondence::SceneImage;
 use crate::calibration::scene::refusal::SceneRefusal;
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::stated_camera::StatedCamera;
 
-/// Focal lengths differ by more, as a part of themselves, where a zoom was moved: files state them
+/// A greater relative difference of focal lengths means that the zoom was moved: files state them
 /// to a hundredth of a millimeter to a whole one.
 const SAME_FOCAL: f64 = 0.01;
-/// Shapes differ by more, as a part of themselves, where an image was cropped: rounding changes
+/// A greater relative difference of aspect ratios means that an image was cropped: rounding changes
 /// that of an image of 200 pixels by less.
 const SAME_SHAPE: f64 = 0.01;
 
@@ -36,7 +36,7 @@ pub(super) fn check_one_camera(images: &[SceneImage]) -> Result<(), SceneRefusal
     Ok(())
 }
 
-/// Whether an image is of another shape than its file states that the camera wrote.
+/// Whether an image has another aspect ratio than the camera wrote, by what its file states.
 pub(super) fn states_cropping(images: &[SceneImage]) -> bool {
     let shape = |size: ImageSize| {
         let (width, height) = (f64::from(size.width), f64::from(size.height));
@@ -57,7 +57,7 @@ fn stated<'a, T>(
     images.iter().filter_map(of_image).collect()
 }
 
-/// The first that is not what most are, and the first of those.
+/// The first one that differs from the majority, and the first of the majority.
 fn odd_one<I, T>(stated: &[(I, T)], is_same: impl Fn(&T, &T) -> bool) -> Option<[&(I, T); 2]> {
     let count = |of: &T| stated.iter().filter(|(_, other)| is_same(of, other)).count();
     let most = stated.iter().map(|(_, of)| count(of)).max()?;

@@ -1,11 +1,11 @@
-//! Why images without a target determine no lens.
+//! Why images without a target do not determine a lens.
 
 use crate::estimation::error::EstimationError;
 
 /// Why there is no calibration: one line each, with what to do.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SceneRefusal {
-    /// A parameter was given that no lens has that may be fitted, or a value that it cannot have.
+    /// A given parameter that no fitted lens has, or a value that it cannot have.
     #[error(transparent)]
     Given(#[from] EstimationError),
     /// Fewer than three.
@@ -16,7 +16,7 @@ pub enum SceneRefusal {
         /// How many there are.
         images: usize,
     },
-    /// Most images are others again.
+    /// Most images repeat others.
     #[error(
         "{images} images show only {views} different views, which are too few: give at least 3, better 8, from different places"
     )]
@@ -64,7 +64,7 @@ pub enum SceneRefusal {
         /// That of most.
         expected: crate::geometry::pixel::ImageSize,
     },
-    /// Nothing to match.
+    /// Too few features to match.
     #[error(
         "the images have too little texture or are blurred (a median of {median} features): photograph something with texture, in focus, holding still"
     )]
@@ -72,7 +72,7 @@ pub enum SceneRefusal {
         /// The median number of features of an image.
         median: usize,
     },
-    /// Matches do not agree.
+    /// Too few matches are inliers.
     #[error(
         "no two images show the same scene: between neighbors a median of {between_neighbors} matches agree; take smaller steps, and something whose texture does not repeat"
     )]
@@ -80,7 +80,7 @@ pub enum SceneRefusal {
         /// The median number of inlier matches between an image and the next.
         between_neighbors: usize,
     },
-    /// A time stamp matches, the scene does not.
+    /// Only a time stamp or the like matches, not the scene.
     #[error(
         "no two images show the same scene from two places: what {pairs} pairs of them share stays at its place in the image, as a time stamp does; take smaller steps around something with texture"
     )]
@@ -88,7 +88,7 @@ pub enum SceneRefusal {
         /// How many pairs of images share that.
         pairs: usize,
     },
-    /// Places are alike: matches are between wrong ones.
+    /// The texture repeats, so matches are ambiguous.
     #[error(
         "the texture repeats: {percent:.0} % of what an image shows is alike at several places of the next one, so that matches are ambiguous; photograph something whose texture does not repeat"
     )]
@@ -101,7 +101,7 @@ pub enum SceneRefusal {
         "the camera stood still (or all images are the same one): move it around the scene between images"
     )]
     Still,
-    /// Homographies explain all, but no rotation.
+    /// Homographies explain all matches, but no rotation explains the homographies.
     #[error(
         "one plane is all that the images show, which does not determine the lens: include things at different depths"
     )]
@@ -131,7 +131,7 @@ pub enum SceneRefusal {
         /// The root mean square angle between motion and optical axis.
         angle_deg: f64,
     },
-    /// The estimate is worthless.
+    /// The focal length is too uncertain to be of use.
     #[error(
         "the images do not determine the focal length (known to {percent:.0} % only): move the camera sideways around the scene, and rotate it by 90 degrees about its axis for some images"
     )]

@@ -23,7 +23,7 @@ pub struct SceneCalibration {
     pub views: Vec<SceneView>,
     /// The scene.
     pub points: Vec<ScenePoint>,
-    /// Counts of what was used.
+    /// Outliers and coverage.
     pub checks: Checks,
     /// How far to trust it.
     pub verdict: Verdict,
@@ -79,7 +79,7 @@ pub struct ScenePoint {
 }
 
 impl SceneCalibration {
-    /// The same as every other calibration is kept, without a name, and without the points.
+    /// The same in the form of every other calibration: without a name, and without the points.
     pub fn into_calibration(self) -> Calibration {
         let Self { sensor, views, points, checks, verdict, held_by_prior, scale, .. } = self;
         let held_by_prior = held_by_prior.into_iter().map(str::to_owned).collect();

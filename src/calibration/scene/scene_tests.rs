@@ -1,4 +1,5 @@
-//! Seeded scenes with exact truth: errors against what is predicted, and what is refused.
+//! Tests of seeded scenes with exact ground truth: errors compared with their predictions, and
+//! refusals.
 
 use nalgebra::{Point2, Point3, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -24,7 +25,7 @@ use crate::imaging::gray::GrayImage;
 const SIZE: ImageSize = ImageSize::new(1280, 960);
 const NOISE_PX: f64 = 0.4;
 
-/// What the camera does.
+/// The camera's motion.
 #[derive(Clone, Copy)]
 enum Motion {
     Orbit,
@@ -143,7 +144,7 @@ fn errors_are_as_large_as_predicted() {
         let focal_error = estimate[0] / truth[0] - 1.0;
         assert!(focal_error.abs() < 0.004, "seed {seed}: {focal_error}");
     }
-    // Of the five parameters the errors of one scene are correlated.
+    // The errors of the five parameters of one scene are correlated.
     let rms = f64::sqrt(sum / f64::from(count));
     assert!((0.5..1.5).contains(&rms) && within * 100 >= 80 * count as usize, "{rms} {within}");
 }

@@ -1,4 +1,4 @@
-//! How far the key frames of a running session are: the estimate, and what to do next.
+//! What the key frames of a running session determine so far, and what to do next.
 
 use std::sync::Arc;
 
@@ -23,12 +23,12 @@ pub struct SceneSoFar {
     pub next_step: String,
 }
 
-/// Less parallax in the median, in degrees, leaves depth weak.
+/// With a smaller median parallax, in degrees, depth is poorly determined.
 const PARALLAX_DEG: f64 = 5.0;
-/// A camera that never rotated by this about its axis leaves the principal point to the parallax,
-/// in degrees.
+/// Unless the camera rotated by this about its axis, in degrees, only the parallax determines the
+/// principal point.
 const ROLLED_DEG: f64 = 45.0;
-/// A relief below which points are one plane.
+/// Below this relief the points are nearly in one plane.
 const RELIEF: f64 = 0.02;
 /// The part of the image in which a lens should have been seen.
 const COVERED: f64 = 0.7;
@@ -65,7 +65,7 @@ pub fn scene_so_far(images: &[SceneImage], lens: LensChoice) -> SceneSoFar {
     }
 }
 
-/// What an estimate lacks most.
+/// What the estimate lacks most.
 fn after(calibration: &SceneCalibration) -> String {
     let SceneConditions { motion, parallax_deg, rolled_deg, relief, .. } = calibration.conditions;
     if motion == CameraMotion::RotationOnly {
@@ -83,7 +83,7 @@ fn after(calibration: &SceneCalibration) -> String {
     }
 }
 
-/// What to do where nothing can be estimated.
+/// What to do when there is no estimate.
 fn instead(refusal: &SceneRefusal) -> String {
     match refusal {
         SceneRefusal::TooFewImages { .. }

@@ -29,7 +29,7 @@ use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
 use crate::imaging::nominal_focal::NominalFocal;
 
-/// What is asked for.
+/// Options of a calibration without a target.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SceneOptions {
     /// Which lens model.
@@ -52,48 +52,47 @@ impl Default for SceneOptions {
     }
 }
 
-/// Fewer images determine no lens.
+/// Fewer images do not determine a lens.
 const LEAST_VIEWS: usize = 3;
 
-/// Images with fewer features have nothing to match.
+/// Images with fewer features (median) cannot be matched.
 const LEAST_FEATURES: usize = 60;
 
-/// Ways between cameras within this angle of the optical axis, in degrees, are forward motion:
-/// the parallax is a third of that of a sideways motion, and none in the middle of the image.
+/// Motion within this angle of the optical axis, in degrees, is forward motion: its parallax is a
+/// third of that of a sideways motion, and none in the middle of the image.
 const FORWARD_DEG: f64 = 20.0;
 
-/// A camera that also rotated by this about its axis, in degrees, is determined by that.
+/// Forward motion is accepted if the camera also rotated by this about its axis, in degrees.
 const ROLLED_DEG: f64 = 45.0;
 
-/// A camera that only rotated must have rotated by this, in degrees: less is a motion of the image
-/// that any focal length explains.
+/// A camera that only rotated must have rotated by at least this, in degrees: any focal length
+/// explains a smaller rotation.
 const ROTATED_DEG: f64 = 15.0;
 
-/// Of a camera that only rotated no more than this part of the observations may disagree; more is
-/// parallax.
+/// For a camera that only rotated, the greatest fraction of outliers; more are parallax.
 const ROTATED_OUTLIERS: f64 = 0.2;
 
-/// Pairs of images with an epipolar geometry that a reconstruction begins with at least.
+/// The least number of image pairs with an epipolar geometry that a reconstruction starts from.
 const LEAST_GENERAL: usize = 2;
 
-/// A rotation whose noise is less than this times that of a motion is what happened. Of rendered
-/// worlds, half of them with something that moves, 20 rotations have 1.04 to 1.19 times, 11 motions
-/// 12.9 times and more.
+/// The images are explained by a rotation if its noise is less than this times that of a motion. Of
+/// rendered worlds, half of them with something that moves, 20 rotations have 1.04 to 1.19 times,
+/// 11 motions 12.9 times and more.
 const AS_WELL: f64 = 2.0;
 
-/// Cauchy's limit where both are compared, in standard deviations.
+/// The limit of Cauchy's loss for that comparison, in standard deviations.
 const ROBUST: f64 = 2.4;
 
 const COMPARING: BundleStop = BundleStop { max_steps: 10, least_decrease: 1e-3 };
 
-/// If more of an image's features are at several places of the next one, its texture repeats:
-/// between what photographs have, 0.27 at most, and what repeats, 0.77 at least.
+/// The texture repeats if more than this fraction of an image's features match several places of
+/// the next image: between what photographs have, 0.27 at most, and what repeats, 0.77 at least.
 const REPEATED: f64 = 0.5;
 
-/// Less parallax, in degrees, than this leaves focal length and depth to the noise.
+/// With less parallax than this, in degrees, noise decides on focal length and depth.
 const LEAST_PARALLAX_DEG: f64 = 2.0;
 
-/// A focal length that is known no better than this part of itself is not determined.
+/// A focal length with a greater relative standard deviation is not determined.
 const WORTHLESS: f64 = 0.2;
 
 /// Calibrates from `images` of a static scene by one camera.
@@ -138,20 +137,20 @@ pub fn calibrate_scene(
     Ok(calibration)
 }
 
-/// Whether the lens, or one of those to choose from, has the parameters that are given.
+/// Whether the lens model, or one of those to choose from, has the given parameters.
 fn check_options(options: &SceneOptions) -> Result<(), EstimationError> {
     let models = match options.lens {
         LensChoice::Model(model) => vec![model],
         LensChoice::Auto => LensModel::compared().collect(),
     };
     let refusal = |model: LensModel| check_given(model, &options.given).err();
-    // The largest of several models names the most parameters.
+    // The error of the largest model names the most parameters.
     let refusals: Option<Vec<EstimationError>> = models.into_iter().map(refusal).collect();
     refusals.and_then(|mut refusals| refusals.pop()).map_or(Ok(()), Err)
 }
 
-/// What is behind `refusal`: of a texture that repeats, matches are between places that are alike,
-/// and whatever they seem to show of the camera's motion is by chance.
+/// The cause of `refusal`: if the texture repeats, matches join places that only resemble each
+/// other, and the motion that they suggest is accidental.
 fn explained(refusal: SceneRefusal, found: &ImagePairs) -> SceneRefusal {
     let part = found.repeated_part();
     let is_of_matches = matches!(
@@ -230,7 +229,7 @@ fn reconstruction(
     }
 }
 
-/// Poses and points as near to the truth as keypoints have them.
+/// Refines poses, points and the lens with the keypoints, before patches are matched.
 fn settle(start: &mut Reconstruction) {
     let free = std::mem::replace(
         &mut start.bundle.free,
@@ -241,14 +240,14 @@ fn settle(start: &mut Reconstruction) {
     start.bundle.free = free;
 }
 
-/// Whether most pairs of images show what one plane, or a rotation, would.
+/// Whether most pairs of images fit a homography, as one plane or a rotation gives.
 fn is_one_plane(found: &ImagePairs) -> bool {
     let verified = found.general.len() + found.rotated.len();
     found.general.len() < LEAST_GENERAL || 4 * verified < 5 * found.nearly_planar
 }
 
-/// Whether a camera that only rotated explains the images: translations and depths, which it does
-/// without, explain even noise a little better.
+/// Whether a pure rotation explains the images nearly as well: the moving model has translations
+/// and depths in addition, which fit even noise a little better.
 fn explains_as_well(rotating: &Reconstruction, moving: &Reconstruction) -> bool {
     let noise = |of: &Reconstruction| {
         let (mut bundle, start) = with_free_distortion(of);
@@ -260,7 +259,7 @@ fn explains_as_well(rotating: &Reconstruction, moving: &Reconstruction) -> bool 
     is_complete && noise(rotating) < AS_WELL * noise(moving)
 }
 
-/// Refuses a camera that neither moved nor rotated enough.
+/// Refuses a camera that neither translated nor rotated enough.
 fn check_rotation(start: &Reconstruction) -> Result<(), SceneRefusal> {
     let conditions = SceneConditions::of(&start.bundle, &start.state);
     let rotated_deg = conditions.rotated_deg.max(conditions.rolled_deg);
@@ -362,7 +361,8 @@ fn finished(
     SceneCalibration { sensor, views, points, checks, verdict, held_by_prior, conditions, scale }
 }
 
-/// The frame of results: the first used image, the greatest distance between two cameras 1.
+/// The coordinate frame of results: that of the first used image, scaled so that the greatest
+/// distance between two cameras is 1.
 struct SceneFrame {
     /// By image.
     camera_from_scene: Vec<Option<Pose>>,
@@ -399,7 +399,7 @@ fn scene_points(start: &Reconstruction, fit: &LensFit, frame: &SceneFrame) -> Ve
     let squares = bundle.squares(state);
     let all = state.points.iter().zip(&bundle.observations).zip(&squares);
     all.map(|((point, seen), squares)| {
-        // What the lens does not see has no error.
+        // Points outside the lens's valid region have no residual.
         let px2: Vec<f64> = seen
             .iter()
             .zip(squares)
@@ -445,7 +445,7 @@ fn view(
     SceneView { name, reason: None, rms_px, camera_from_scene: Some(camera_from_scene) }
 }
 
-/// The covariance of all lens parameters: 0 for those that were held.
+/// The covariance of all lens parameters: 0 for fixed ones.
 fn full_covariance(lens: &Lens, free: &[usize], matrix: &DMatrix<f64>) -> DMatrix<f64> {
     let count = lens.parameters().len();
     let mut full = DMatrix::zeros(count, count);
@@ -457,7 +457,7 @@ fn full_covariance(lens: &Lens, free: &[usize], matrix: &DMatrix<f64>) -> DMatri
     full
 }
 
-/// The part of the image's cells (12 along the longer side) with points.
+/// The fraction of the image's cells (12 along the longer side) that contain points.
 fn coverage(points: &[ScenePoint], size: ImageSize) -> f64 {
     let side = f64::from(size.width.max(size.height)) / 12.0;
     let cells = |length: u32| (f64::from(length) / side).ceil().max(1.0);
@@ -469,7 +469,8 @@ fn coverage(points: &[ScenePoint], size: ImageSize) -> f64 {
     (seen.len() as f64 / (cells(size.width) * cells(size.height))).min(1.0)
 }
 
-/// A parameter whose standard deviation the images lower by less than a third.
+/// A parameter is held by its prior if its posterior standard deviation exceeds this fraction of
+/// the prior's.
 const HELD: f64 = 0.67;
 
 fn held_by_prior(lens: &Lens, fit: &LensFit) -> Vec<&'static str> {

@@ -8,21 +8,22 @@ use crate::estimation::scene::bundle::CameraMotion;
 use crate::estimation::uncertainty::UncertaintyMap;
 use crate::imaging::nominal_focal::NominalFocal;
 
-/// A focal length known to this part of itself (1 sigma) is good; to the second, usable.
+/// A focal length whose relative standard deviation is below the first is good, below the second
+/// usable.
 const FOCAL_STD: [f64; 2] = [0.002, 0.01];
-/// How many times larger the uncertainty is than if each observation erred by itself: residuals
-/// that keep half of their errors show half as much.
+/// The same limits for how many times greater the uncertainty is than if the observations' errors
+/// were independent. Residuals that keep half of the errors show half as much.
 const SHARED: [f64; 2] = [6.0, 18.0];
-/// The part of the observations that was not used.
+/// The same limits for the fraction of outliers.
 const OUTLIERS: [f64; 2] = [0.15, 0.4];
 /// The median parallax, in degrees, below which depth is weak.
 const PARALLAX_DEG: f64 = 5.0;
 /// A relief ([`SceneConditions::relief`]) below which points are one plane.
 pub(super) const RELIEF: f64 = 0.02;
-/// Images that all stand upright leave the principal point to the parallax.
+/// If all images have about the same roll, only the parallax determines the principal point.
 const ROLLED_DEG: f64 = 30.0;
-/// A stated focal length that is off by more standard deviations does not fit: chance gives one in
-/// 370.
+/// A stated focal length that is off by more standard deviations contradicts the estimate: chance
+/// gives one in 370.
 const EXCLUDED: f64 = 3.0;
 
 /// What the verdict rests on.
@@ -33,7 +34,7 @@ pub(super) struct Evidence<'a> {
     pub used: usize,
     /// Images of different views.
     pub views: usize,
-    /// What to say of images by different focal lengths.
+    /// The reason to give if the images have different focal lengths.
     pub different_focals: Option<String>,
     pub held_by_prior: &'a [&'static str],
 }
@@ -45,7 +46,7 @@ pub(super) fn relative_focal_std(fit: &LensFit) -> f64 {
     focal.map_or(0.0, |k| matrix[(k, k)].sqrt() / fit.fit.state.lens.matrix.fx)
 }
 
-/// Grades and says why.
+/// The grade, with its reasons.
 pub(super) fn judge(evidence: &Evidence<'_>) -> Verdict {
     let findings = [
         evidence.different_focals.clone().map(|reason| Finding { grade: Grade::Poor, reason }),
@@ -146,7 +147,8 @@ fn motion(evidence: &Evidence<'_>) -> Option<Finding> {
     Some(Finding { grade: Grade::Usable, reason })
 }
 
-/// What to say of a stated focal length that the estimate (fx, its standard deviation) excludes.
+/// The reason to give if the estimate (fx, its standard deviation) contradicts the stated focal
+/// length.
 pub(super) fn unfit_focal(nominal: NominalFocal, (fx, std): (f64, f64)) -> Option<String> {
     let NominalFocal { focal_px, std_px } = nominal;
     let excluded = (fx - focal_px).abs() > EXCLUDED * std.hypot(std_px);

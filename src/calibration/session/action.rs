@@ -1,4 +1,4 @@
-//! What goes into a session and what comes out of it.
+//! The input and the output of a session.
 
 use std::sync::Arc;
 
@@ -72,7 +72,7 @@ pub struct KeptView {
     pub view: u32,
 }
 
-/// What whoever owns the session has to do, in this order.
+/// The actions that the owner of the session has to perform, in this order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Action {
     /// Estimate the lens of the camera of this index from its views, and answer with
@@ -93,7 +93,7 @@ pub struct Observed {
     /// for a camera that gave no frame.
     pub admissions: Vec<Option<Result<u32, Rejection>>>,
     /// Views to store with the images that were just observed, before anything else is done and
-    /// before the next frame set is taken. Nothing but an observed frame set brings one.
+    /// before the next frame set is taken. Only observing a frame set yields any.
     pub kept: Vec<KeptView>,
     /// What to do then.
     pub actions: Vec<Action>,

@@ -1,5 +1,5 @@
-//! What a camera's operator should do next: the view that teaches most, the one next movement
-//! towards it, and what stands in the way of the goal.
+//! What a camera's operator should do next: the most informative view, the one next movement
+//! towards it, and what prevents reaching the goal.
 
 use crate::calibration::admission::Rejection;
 use crate::calibration::guidance::{Guidance, obstacle};
@@ -8,13 +8,13 @@ use crate::calibration::information::next_view::SuggestedView;
 use crate::calibration::information::teaching::Teaching;
 use crate::geometry::pose::Pose;
 
-/// A movement is asked for at least so long before another one is, in nanoseconds: the time it
-/// takes to hear it and to begin.
+/// A requested movement stands for at least this time before another one replaces it, in
+/// nanoseconds: the time it takes to hear it and to begin.
 const HEARD_NS: i64 = 800_000_000;
-/// Before so many views nothing can be said of a goal that is far off.
+/// With fewer views than this, no note says that the goal is out of reach.
 const VIEWS_BEFORE_DOUBT: usize = 8;
 
-/// What is asked for, and what was said last.
+/// The suggested view, and the last message.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Advice {
     /// The view to ask for; renewed with each view.
@@ -22,18 +22,18 @@ pub(super) struct Advice {
     said: Option<(String, i64)>,
 }
 
-/// What the advice depends on beside the views.
+/// What the advice depends on besides the views.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Now<'a> {
     pub(super) time_ns: i64,
-    /// Where the board is, where it is seen.
+    /// The board's pose in the newest frame, if it shows the board.
     pub(super) camera_from_board: Option<&'a Pose>,
-    /// What has been in the way for some frames.
+    /// Why the newest frames were rejected, once that lasts for some frames.
     pub(super) obstacle: Option<&'a Rejection>,
     /// How many views may still be kept.
     pub(super) room: u32,
     pub(super) goal_px: Option<f64>,
-    /// The goal is reached, but the model does not hold.
+    /// The goal is reached, but halves of the views give different results.
     pub(super) in_doubt: bool,
 }
 
@@ -67,7 +67,7 @@ impl Advice {
     ) -> String {
         let since_ns = |at_ns: i64| now.time_ns.saturating_sub(at_ns);
         match &self.said {
-            // Without a board in view what was said last stands.
+            // Without a board in view the last message stands.
             Some((said, at_ns))
                 if now.camera_from_board.is_none() || since_ns(*at_ns) < HEARD_NS =>
             {
@@ -99,7 +99,7 @@ fn note(suggested: &SuggestedView, views: usize, now: &Now<'_>) -> Option<String
     }
     let ([few, _], goal_px) = (suggested.views_to_go?, now.goal_px?);
     (views >= VIEWS_BEFORE_DOUBT && few > now.room).then(|| {
-        // Corners place the board far better than depth measures it.
+        // Depth is usually limited by its readings, not by the corners: the advice differs.
         let (what, mends) = if suggested.is_for_depth {
             (" where color sees what depth measures", "a larger board or a greater goal brings")
         } else {

@@ -1,30 +1,30 @@
-//! Whether somebody brings the board to where it is asked for: what is seen on the way there
-//! teaches less, in motion, than the view that is about to come.
+//! Whether the operator is bringing the board to the suggested view. Frames on the way there are
+//! blurred by motion and add less information than the view that is about to come.
 
 use crate::calibration::admission::ONE_MOVEMENT_S;
 use crate::calibration::information::teaching::Teaching;
 use crate::calibration::view::FrameFacts;
 use crate::geometry::pose::Pose;
 
-/// A board that arrives within this time at its present speed, in seconds, is waited for (swept:
-/// docs/guidance.md).
+/// A board that reaches the suggested view within this time at its present speed, in seconds, is
+/// waited for (swept: docs/guidance.md).
 const WAITED_S: f64 = 2.0;
 
-/// How far the board was from the suggested view in the frame before.
+/// How far the board was from the suggested view in the previous frame.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Approach {
     before: Option<(i64, f64)>,
 }
 
 impl Approach {
-    /// Takes in a frame: when it was taken, and the poses of the board in it and in the suggested
-    /// view, as far as there are any.
+    /// Takes a frame: its time, and the poses of the board in it and in the suggested view, if both
+    /// exist.
     pub(super) fn follow(&mut self, time_ns: i64, poses: Option<[&Pose; 2]>, teaching: &Teaching) {
         self.before = poses.map(|[here, there]| (time_ns, teaching.effort(here, there)));
     }
 
-    /// Whether the board, in the next frame, is about to arrive. A named frame is an image of its
-    /// own.
+    /// Whether the board is about to arrive at the suggested view. A named frame is an image file,
+    /// not part of a motion: never.
     pub(super) fn is_arriving(
         &self,
         frame: &FrameFacts,
@@ -36,7 +36,7 @@ impl Approach {
         };
         let elapsed_s = frame.time_ns().saturating_sub(time_ns) as f64 * 1e-9;
         let left = teaching.effort(here_from_board, there_from_board);
-        // Nearer by so much in `elapsed_s` that the rest takes less than `WAITED_S`.
+        // The effort left, at the present speed, takes less than `WAITED_S`.
         let is_one_movement = elapsed_s > 0.0 && elapsed_s < ONE_MOVEMENT_S;
         is_one_movement && (before - left) * WAITED_S > left * elapsed_s
     }

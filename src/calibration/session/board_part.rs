@@ -1,5 +1,5 @@
-//! What one camera of an instrument has gathered of a board in a session: its views, what it needs
-//! next, and how far its lens is known.
+//! What one camera of an instrument has collected about a board in a session: its views, the next
+//! view that it needs, and the uncertainty of its lens.
 
 mod worth;
 
@@ -30,10 +30,11 @@ use crate::geometry::target::Target;
 /// An uncertainty estimated from fewer views is not worth stopping for, unless the request says so.
 const LEAST_VIEWS_FOR_GOAL: u32 = 8;
 
-/// A board is where it is asked for within this effort: a tenth of its distance, or twelve degrees.
+/// A board within this effort of the suggested view counts as there: a tenth of its distance, or
+/// twelve degrees.
 const ARRIVED: f64 = 0.2;
 
-/// What a view teaches: of color, unless no pose explains it, and of depth.
+/// The information in a view: about color (`None` where no pose explains it), and about depth.
 type Taught = (Option<TaughtView>, BoardInDepth);
 
 /// One camera's part of a session with a board.
@@ -42,24 +43,24 @@ pub struct BoardPart {
     target: Target,
     lens: LensChoice,
     goal_px: Option<f64>,
-    /// So many views it takes, whatever they leave open.
+    /// Views to collect at least, whatever uncertainty is reached.
     least_views: u32,
     summary: SessionMember,
     views: Vec<View>,
     placements: Vec<Placement>,
-    /// What the views teach; `None` before the first frame gives the image's size.
+    /// The information in the views; `None` before the first frame gives the image's size.
     teaching: Option<Teaching>,
-    /// The newest frame's, if it shows the board.
+    /// The board in the newest frame, if it shows one.
     newest: Option<TaughtView>,
     /// When that frame was taken.
     newest_ns: i64,
-    /// The view that teaches this camera most; what is asked for unless the rig needs another.
+    /// The most informative view for this camera; it is requested unless the rig needs another.
     own: Option<SuggestedView>,
-    /// That, or the one that teaches its depth most where depth is less known.
+    /// That view, or the most informative one for depth if depth is less certain.
     requested: Option<SuggestedView>,
-    /// Another one is asked for.
+    /// The suggested view is one that another camera should share.
     asked_to_share: bool,
-    /// What was gathered of its depth, where it measures that.
+    /// What was gathered of its depth, if it has a depth sensor.
     depth: DepthPart,
     advice: Advice,
     before: Option<SeenBefore>,
@@ -68,13 +69,14 @@ pub struct BoardPart {
     obstacle: Obstacle,
     last_rejections: LastRejections,
     going_on: Option<GoingOn>,
-    /// What its views let expect of the uncertainty that the newest estimate finds.
+    /// The uncertainty predicted from the views that the newest estimate is made of.
     expected_px: Option<f64>,
-    /// How many times greater that is, at least once.
+    /// How many times greater than predicted the estimated uncertainty is, at least 1.
     harder: f64,
     /// Whether the newest estimate's halves agree.
     model_holds: bool,
-    /// A view was exchanged while an estimate was being made: it is not of the present views.
+    /// A view was exchanged while an estimate was being made: that estimate has a view that is
+    /// gone.
     exchanged: bool,
     estimating: bool,
     /// A view was kept while an estimate was being made.
@@ -129,7 +131,7 @@ impl BoardPart {
         }
     }
 
-    /// What it contributes, as seen from outside; how many views are shared is not its to know.
+    /// Its part of the session's record. How many of its views are shared is not included.
     pub fn summary(&self) -> &SessionMember {
         &self.summary
     }
@@ -159,32 +161,33 @@ impl BoardPart {
         self.estimating
     }
 
-    /// What its views teach; `None` before the first frame.
+    /// The information in its views; `None` before the first frame.
     pub(super) fn teaching(&self) -> Option<&Teaching> {
         self.teaching.as_ref()
     }
 
-    /// Why most frames became no view, where that is not that they taught nothing new.
+    /// Why most frames became no view, unless the reason is that they added no new information.
     pub(super) fn why_rejected(&self) -> Option<String> {
         self.last_rejections.why_most(&self.summary.rejected, self.summary.frames_seen)
     }
 
-    /// What the newest frame would teach, or taught; `None` if it does not show the board.
+    /// The information that the newest frame would add, or added; `None` if it does not show the
+    /// board.
     pub(super) fn newest(&self) -> Option<&TaughtView> {
         self.newest.as_ref()
     }
 
-    /// What a view must teach to be kept, as [`AdmissionOptions::worth`].
+    /// The information that a view must add to be kept, as [`AdmissionOptions::worth`].
     pub(super) fn worth(&self) -> f64 {
         self.options.worth
     }
 
-    /// The view that teaches this camera most.
+    /// The most informative view for this camera.
     pub(super) fn own_suggestion(&self) -> Option<&SuggestedView> {
         self.own.as_ref()
     }
 
-    /// Asks for this view in place of its own suggestion; `None` for that.
+    /// Requests this view instead of its own suggestion; `None` requests its own again.
     pub(super) fn ask_for(&mut self, shared: Option<SuggestedView>) {
         if shared.is_some() || self.asked_to_share {
             self.asked_to_share = shared.is_some();
@@ -195,8 +198,8 @@ impl BoardPart {
         }
     }
 
-    /// How many times greater than its views let expect the solve finds the uncertainty, at least
-    /// once: it may know of more that widens it, as the board's shape or the shutter.
+    /// How many times greater the solve finds the uncertainty than its views predict, at least 1:
+    /// the solve may include what widens it, such as the board's shape or the shutter.
     pub(super) fn harder(&self) -> f64 {
         self.harder
     }
@@ -234,8 +237,8 @@ impl BoardPart {
         admission
     }
 
-    /// What was shown is not worth keeping: if that is about where a view is asked for, and the
-    /// board rests there, it would not be again, and another one is asked for.
+    /// A frame was rejected because it adds too little information. If the board rests about where
+    /// it was requested, showing it there again would not help: another view is requested.
     fn refuse(&mut self, frame: &FrameFacts, camera_from_board: &Pose) {
         let Some(teaching) = self.teaching.as_ref().filter(|_| !self.asked_to_share) else {
             return;
@@ -271,9 +274,9 @@ impl BoardPart {
             && admit(detection, frame, self.before.as_ref(), placements, &self.options).is_ok()
     }
 
-    /// Keeps a detection that teaches this camera nothing new, for what it teaches of the
-    /// instrument: another camera saw the board in the same frame set. `None` where it cannot be a
-    /// view at all.
+    /// Keeps a detection that adds no new information about this camera, for its information about
+    /// the instrument: another camera saw the board in the same frame set. `None` where it cannot
+    /// be a view at all.
     pub(super) fn keep_shared(&mut self, seen: &CameraFrame, rejection: &Rejection) -> Option<u32> {
         let (frame, detection) = (&seen.frame, seen.board()?);
         let room = self.views.len() < self.options.view_limit as usize;
@@ -284,8 +287,8 @@ impl BoardPart {
         Some(self.add(frame, detection, placement, taught))
     }
 
-    /// Takes back a view as it was stored. What was admitted once has a placement; one without
-    /// would change the numbers that rejections name.
+    /// Restores a stored view. A view that was admitted has a placement; one without is skipped, as
+    /// it would change the numbers that rejections name.
     pub(super) fn restore(&mut self, view: &View, depth: Option<&DepthFrame>) -> Option<u32> {
         let (frame, detection) = (&view.frame, &view.detection);
         let placement = Placement::of(detection, frame.image_size)?;
@@ -294,12 +297,12 @@ impl BoardPart {
         if self.views.len() < self.options.view_limit as usize {
             return Some(self.add(frame, detection, placement, taught));
         }
-        // One that was exchanged is stored too.
+        // Exchanged views are stored too.
         let replaced = self.room_for(frame, &placement, &taught).ok().flatten()?;
         Some(self.exchange(replaced, frame, detection, placement, taught))
     }
 
-    /// Whether the views reach the goals of `finish` but for its time.
+    /// Whether the views reach the goals of `finish`, its time limit aside.
     pub(super) fn reaches(&self, finish: &Finish) -> bool {
         let kept = self.summary.views_kept;
         match (finish.uncertainty_px, finish.min_views) {
@@ -328,13 +331,12 @@ impl BoardPart {
         is_begun
     }
 
-    /// Takes the estimate that was asked for; one that could not be made leaves the one before.
-    /// Whether another one is to be made now, if frames still come.
+    /// Takes the requested estimate; `None`, if it could not be made, keeps the previous one.
     pub(super) fn estimated(&mut self, estimate: Option<EstimateSoFar>) {
         self.estimating = false;
         let outdated = std::mem::take(&mut self.exchanged);
         if let Some(EstimateSoFar { running, going_on, model_holds }) = estimate {
-            // Compared with what the same views let expect: one view more may halve either.
+            // Compared with what the same views predict: one view more may halve either.
             self.harder = self
                 .expected_px
                 .map_or(1.0, |expected_px| (running.uncertainty_px.median / expected_px).max(1.0));
@@ -349,13 +351,13 @@ impl BoardPart {
         self.estimate_outdated
     }
 
-    /// The camera gives no frames: what comes next is not compared with what came before.
+    /// The camera stopped giving frames: the next frame is not compared with the previous one.
     pub(super) fn lost(&mut self) {
         self.before = None;
         self.time.lost();
     }
 
-    /// Images have a size from now on, unless a frame set without an image came first.
+    /// Sets up what depends on the image size, once a frame has one.
     fn prepare(&mut self, size: ImageSize) {
         if self.teaching.is_none() && size.width > 0 && size.height > 0 {
             let figure =
@@ -390,7 +392,7 @@ impl BoardPart {
         })
     }
 
-    /// Puts a view where one was that teaches less.
+    /// Replaces a view that adds less information.
     fn exchange(
         &mut self,
         number: u32,
@@ -403,7 +405,7 @@ impl BoardPart {
         self.summary.coverage.add(detection, frame.image_size);
         self.views[at] = View { number, frame: frame.clone(), detection: detection.clone() };
         self.placements[at] = placement;
-        // Estimates go on from the views before; these are others.
+        // An estimate starts from the previous one only if it has the same views.
         (self.going_on, self.exchanged) = (None, self.estimating);
         if let Some(teaching) = &mut self.teaching {
             teaching.remove(number);
@@ -413,7 +415,7 @@ impl BoardPart {
         number
     }
 
-    /// Takes in what a view teaches, and asks for the next one.
+    /// Adds the information in a view, and suggests the next view.
     fn teach(&mut self, number: u32, taught: Option<TaughtView>, depth: BoardInDepth) {
         let Some(teaching) = &mut self.teaching else { return };
         if let Some(taught) = taught {
@@ -423,19 +425,19 @@ impl BoardPart {
         self.suggest();
     }
 
-    /// Finds the view that teaches it most, and asks for one.
+    /// Finds the most informative view for this camera, and suggests one.
     fn suggest(&mut self) {
         let goal_px = self.harder_goal_px();
         self.own = self.teaching.as_ref().and_then(|teaching| teaching.suggest(goal_px));
         self.request();
     }
 
-    /// Asks for the view that teaches it most.
+    /// Requests the most informative view.
     fn request(&mut self) {
         let goal_px = self.harder_goal_px();
         let Some(teaching) = &self.teaching else { return };
         let requested = self.depth.request(teaching, self.own.as_ref(), goal_px);
-        // However little is open: fewer views are not worth stopping for.
+        // Even if little is missing, fewer views are not worth stopping for.
         let least = self.least_views.saturating_sub(self.views.len() as u32);
         self.requested = requested.map(|view| SuggestedView {
             views_to_go: view.views_to_go.map(|to_go| to_go.map(|views| views.max(least))),
@@ -488,7 +490,7 @@ impl BoardPart {
             let poses = camera_from_board.zip(suggested.map(|it| &it.camera_from_board));
             self.approach.follow(time_ns, poses.map(Into::into), teaching);
         } else if let Some(message) = now.obstacle.and_then(obstacle) {
-            // As long as there is no image only that can be said.
+            // Without an image there is no other message.
             self.summary.guidance.message = message;
         }
     }

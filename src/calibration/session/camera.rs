@@ -60,14 +60,15 @@ impl CameraPart {
         }
     }
 
-    /// Asks for this view in place of the one that teaches its own lens most; `None` for that.
+    /// Requests this view instead of the most informative one for its own lens; `None` requests
+    /// that one again.
     pub(super) fn ask_for(&mut self, shared: Option<SuggestedView>) {
         if let Self::Board(board) = self {
             board.ask_for(shared);
         }
     }
 
-    /// What it contributes, as seen from outside; how many views are shared is not its to know.
+    /// Its part of the session's record. How many of its views are shared is not included.
     pub fn summary(&self) -> &SessionMember {
         of_either!(self, part => part.summary())
     }
@@ -162,9 +163,9 @@ impl CameraPart {
         self.board().is_some_and(|board| board.is_new_among(placements, frame, detection))
     }
 
-    /// Keeps a detection that teaches this camera nothing new, for what it teaches of the
-    /// instrument: another camera saw the board in the same frame set. `None` where it cannot be a
-    /// view at all.
+    /// Keeps a detection that adds no new information about this camera, for its information about
+    /// the instrument: another camera saw the board in the same frame set. `None` where it cannot
+    /// be a view at all.
     pub(super) fn keep_shared(&mut self, seen: &CameraFrame, rejection: &Rejection) -> Option<u32> {
         match self {
             Self::Board(board) => board.keep_shared(seen, rejection),
@@ -172,7 +173,7 @@ impl CameraPart {
         }
     }
 
-    /// Takes back a view of a board as it was stored, with what depth was taken with it.
+    /// Takes back a view of a board as it was stored, with the depth that was taken with it.
     pub(super) fn restore(&mut self, view: &View, depth: Option<&DepthFrame>) -> Option<u32> {
         match self {
             Self::Board(board) => board.restore(view, depth),
@@ -192,7 +193,7 @@ impl CameraPart {
         }
     }
 
-    /// Whether the views reach the goals of `finish` but for its time.
+    /// Whether the views reach the goals of `finish`, its time limit aside.
     pub(super) fn reaches(&self, finish: &Finish) -> bool {
         of_either!(self, part => part.reaches(finish))
     }
@@ -203,7 +204,7 @@ impl CameraPart {
         of_either!(self, part => part.request_estimate())
     }
 
-    /// Takes the estimate that was asked for; one that could not be made leaves the one before.
+    /// Takes the requested estimate; `None`, if it could not be made, keeps the previous one.
     pub(super) fn estimated(&mut self, estimate: Option<EstimateSoFar>) {
         match self {
             Self::Board(board) => board.estimated(estimate),
@@ -224,7 +225,7 @@ impl CameraPart {
         of_either!(self, part => part.is_estimate_outdated())
     }
 
-    /// The camera gives no frames: what comes next is not compared with what came before.
+    /// The camera stopped giving frames: the next frame is not compared with the previous one.
     pub(super) fn lost(&mut self) {
         of_either!(self, part => part.lost());
     }

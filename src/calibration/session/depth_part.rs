@@ -1,8 +1,8 @@
-//! What one camera of an instrument has gathered of its depth in a session, and the view to ask for
-//! that teaches it.
+//! What one camera of an instrument has collected about its depth in a session, and the view to
+//! request for it.
 //!
-//! Depth counts once a view has it. What the infrared camera that measures it sees of boards counts
-//! with it, as in the solve.
+//! Depth counts from the first view that has it. Boards seen by the infrared camera that measures
+//! depth count with it, as in the solve.
 
 use std::sync::Arc;
 
@@ -23,9 +23,9 @@ use crate::imaging::depth_image::DepthImage;
 pub struct DepthFrame {
     /// The readings.
     pub image: Arc<DepthImage>,
-    /// What they mean.
+    /// The meaning of its numbers.
     pub encoding: DepthEncoding,
-    /// The lens that the device states, and where color is.
+    /// The lens that the device states, and the pose of the color camera in it.
     pub factory: Option<PosedDepthLens>,
     /// The board in the image of the infrared camera that measures depth.
     pub infrared: Option<Detection>,
@@ -36,14 +36,14 @@ pub struct DepthFrame {
 pub(super) struct DepthPart {
     teaching: Option<DepthTeaching>,
     next: Option<NextDepthView>,
-    /// The view that teaches depth most is asked for.
+    /// The suggested view is the most informative one for depth.
     is_asked_for: bool,
 }
 
-/// Depth that fits no camera after so many views is left to the verdict: a session that waited for
+/// Depth that no model fits after this many views is left to the verdict: a session that waited for
 /// it would never end.
 const GIVEN_UP: usize = 10;
-/// Depth does not count from so many views on. It is a guard: of 31 seeded sessions, 15 of them
+/// Depth stops counting at this many views. This is a guard: of 31 seeded sessions, 15 of them
 /// begun with three frontal boards, none took more than 11 views with depth (docs/guidance.md).
 const MOST_MEASURED: usize = 40;
 
@@ -58,7 +58,7 @@ impl DepthPart {
         let (Some(color), Some(frame), Some(taught)) = (color, frame, taught) else {
             return BoardInDepth::default();
         };
-        // Disparity of unknown meaning is left to the solve.
+        // The meaning of the disparity is unknown here; the solve estimates it.
         let Some(reading) = frame.encoding.reading else { return BoardInDepth::default() };
         let teaching = self.teaching.get_or_insert_with(|| {
             let size = frame.image.size();
@@ -67,7 +67,7 @@ impl DepthPart {
             DepthTeaching::new(target, color, &stated)
         });
         let surface = teaching.measure(&frame.image, color, taught);
-        // Corners that may be counted from either end of the board say nothing of where it is.
+        // Corners whose numbering may start at either end of the board do not determine its pose.
         let is_placed = |seen: &&Detection| seen.position_known && !seen.orientation_ambiguous;
         let infrared = frame.infrared.as_ref().filter(is_placed).and_then(|seen| {
             let size = frame.image.size();
@@ -79,29 +79,29 @@ impl DepthPart {
         BoardInDepth { surface, infrared }
     }
 
-    /// Whether a view is worth keeping for what it teaches of depth: at least `worth` of half of
-    /// what the views with depth taught on average. The first ones are.
+    /// Whether a view is worth keeping for its information about depth: at least `worth` times half
+    /// of what the views with depth added on average. The first ones always are.
     pub(super) fn is_taught(&self, taught: &TaughtView, seen: &BoardInDepth, worth: f64) -> bool {
         let Some(teaching) = self.counted() else { return false };
         (seen.surface.is_some() || seen.infrared.is_some())
             && teaching.gain(taught, seen) >= 0.5 * worth / teaching.measured().max(1) as f64
     }
 
-    /// By how much a view lowers what is asked for, and by how much that view does; `None` unless
-    /// it is asked for on behalf of depth.
+    /// How much this view lowers the depth uncertainty, and how much the suggested view would;
+    /// `None` unless the suggested view is for depth.
     pub(super) fn drop(&self, taught: &TaughtView, seen: &BoardInDepth) -> Option<[f64; 2]> {
         let next = self.next.as_ref().filter(|_| self.is_asked_for)?;
         Some([self.counted()?.drop(taught, seen), next.drop])
     }
 
-    /// Takes in a kept view, which `color` has as its `number`-th.
+    /// Adds a kept view, number `number` of `color`.
     pub(super) fn add(&mut self, number: u32, seen: BoardInDepth, color: &Teaching) {
         if let Some(teaching) = &mut self.teaching {
             teaching.add(number, seen, color);
         }
     }
 
-    /// The color view with this number is there no more.
+    /// The color view with this number was removed.
     pub(super) fn remove(&mut self, number: u32) {
         self.teaching.iter_mut().for_each(|teaching| teaching.remove(number));
     }
@@ -111,8 +111,8 @@ impl DepthPart {
         self.counted().is_none_or(|depth| depth.uncertainty_px().is_some_and(|px| px <= goal_px))
     }
 
-    /// The view to ask for: color's `own`, unless depth is less known than color and another view
-    /// lowers that more; with how many views both take.
+    /// The view to ask for: color's `own`, unless depth is known less well than color and another
+    /// view lowers that more. Its `views_to_go` covers both.
     pub(super) fn request(
         &mut self,
         color: &Teaching,
@@ -122,8 +122,8 @@ impl DepthPart {
         let next = self.counted().and_then(|depth| suggest_depth_view(depth, color, goal_px));
         (self.next, self.is_asked_for) = (next, false);
         let Some(depth) = self.counted() else { return own.cloned() };
-        // Of a camera that is known no better than guessed nobody can say what a view leaves open,
-        // nor how many it takes.
+        // While the camera's pose is only a guess, neither the uncertainty after a view nor the
+        // number of views can be predicted.
         let is_placed = depth.is_placed(color);
         let next = self.next.as_ref();
         let views_to_go = own.zip(next).filter(|_| is_placed).and_then(|(own, next)| {
@@ -152,7 +152,7 @@ impl DepthPart {
         asked.or(own)
     }
 
-    /// What views have taught of depth, where that counts.
+    /// The information in the views about depth, as long as depth counts.
     pub(super) fn counted(&self) -> Option<&DepthTeaching> {
         let teaching = self.teaching.as_ref()?;
         let is_fitted = teaching.uncertainty_px().is_some() || teaching.measured() < GIVEN_UP;

@@ -1,5 +1,4 @@
-//! How a session comes to its end. Whether what was gathered can be solved is an argument: `Ok`, or
-//! why not.
+//! How a session ends. Whether what was gathered can be solved is an argument: `Ok`, or why not.
 //!
 //! ```text
 //! collecting ──stop, goal reached, time up──▶ solving ──▶ finished
@@ -22,7 +21,7 @@ use crate::imaging::frame::SensorKind;
 /// calibration", 2000, section 3.3); fewer images of a scene do too.
 pub const LEAST_VIEWS: usize = 3;
 
-/// How the reason of a session that waits for a camera begins.
+/// How the reason begins while a session waits for a camera.
 pub(super) const WAITS: &str = "waits for ";
 
 /// A request that comes too late.
@@ -34,8 +33,8 @@ pub struct SessionOver {
 }
 
 impl SessionRecord {
-    /// By request: solves, or fails where `enough` says why it cannot. Nothing new for one that
-    /// solves already.
+    /// On request: solves, or fails for the reason in `enough`. No actions if it is solving
+    /// already.
     pub(super) fn stop(
         &mut self,
         enough: Result<(), String>,
@@ -48,7 +47,7 @@ impl SessionRecord {
         }
     }
 
-    /// `enough`; where it is not, first which camera the session waits for.
+    /// `enough`; an error also says first which camera the session waits for.
     pub(super) fn as_it_waits(&self, enough: Result<(), String>) -> Result<(), String> {
         let waits = self.reason.as_ref().filter(|reason| reason.starts_with(WAITS));
         enough.map_err(|why| match waits {
@@ -57,7 +56,7 @@ impl SessionRecord {
         })
     }
 
-    /// By request: gives it up.
+    /// On request: gives the session up.
     ///
     /// # Errors
     /// [`SessionOver`].
@@ -75,7 +74,7 @@ impl SessionRecord {
         self.close(SessionState::Aborted, Some(reason.to_owned()), now_ns)
     }
 
-    /// Something broke in the program itself: its views stay.
+    /// A fault of the program; the views stay.
     pub(super) fn fail(&mut self, reason: &str, now_ns: i64) -> Vec<Action> {
         match self.state {
             SessionState::Collecting | SessionState::Solving => {
@@ -85,7 +84,7 @@ impl SessionRecord {
         }
     }
 
-    /// Ends by itself where `finish` is reached; the time is that of its frames.
+    /// Ends by itself once `finish` is reached; the time of the end comes from its frames.
     pub(super) fn solve_or_fail_by_itself(&mut self, enough: Result<(), String>) -> Vec<Action> {
         let now_ns = self.started_at_ns.saturating_add((self.collecting_s * 1e9) as i64);
         self.solve_or_fail(enough, now_ns)
@@ -97,8 +96,8 @@ impl SessionRecord {
         limit_s.is_some_and(|limit_s| self.collecting_s >= limit_s)
     }
 
-    /// No frame will ever come again: a session that was to end by itself ends now, another one
-    /// waits to be stopped.
+    /// No frame will ever come again: a session with a goal ends now, another one waits to be
+    /// stopped.
     pub(super) fn source_ended(
         &mut self,
         reason: &str,
@@ -129,7 +128,7 @@ impl SessionRecord {
         }
     }
 
-    /// Takes the calibration that its views led to: its estimates are as that says.
+    /// Takes the calibration made from its views; the estimates become those of the calibration.
     pub(super) fn calibrated(&mut self, calibration: &Calibration) -> Vec<Action> {
         if self.state == SessionState::Solving {
             if self.members.is_empty() {
@@ -157,7 +156,7 @@ impl SessionRecord {
         vec![Action::Announce, Action::Solve]
     }
 
-    /// No view is of use any more, of any camera.
+    /// Clears the guidance of the session and of every camera.
     pub(super) fn ask_for_nothing(&mut self) {
         self.guidance = Guidance::default();
         for member in &mut self.members {
@@ -174,7 +173,7 @@ impl SessionRecord {
     }
 }
 
-/// Makes an estimate say what the calibration of its sensor says; it keeps its map.
+/// Replaces an estimate by the calibration of its sensor; the uncertainty map stays.
 fn take_estimate(estimate: &mut Option<RunningEstimate>, sensor: Option<&ImageCalibration>) {
     let Some(sensor) = sensor else { return };
     *estimate = Some(RunningEstimate {

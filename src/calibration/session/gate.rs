@@ -1,10 +1,10 @@
 //! Whether a frame set may bring a view, decided before the session itself observes it: what is
 //! costly (the full search of a tracked board, the other sensors' images) is done for these alone.
 //!
-//! A gate knows the views that the session had kept a while ago. While there is room views are only
-//! ever added, and each view that is kept rejects more frames, so that a gate lets through all that
-//! the session will keep, and little else. A full session exchanges views: then no frame is like
-//! one that it is known to have.
+//! A gate works with a snapshot of the views that the session had kept. While there is room, views
+//! are only added, and each kept view rejects more frames: so a gate lets through all that the
+//! session will keep, and little else. A full session exchanges views; then no frame is stopped for
+//! resembling a kept view.
 
 use crate::calibration::admission::{AdmissionOptions, SeenBefore, admit};
 use crate::calibration::placement::Placement;
@@ -24,7 +24,7 @@ pub struct KeptSoFar {
 struct KeptOfCamera {
     image_size: Option<ImageSize>,
     placements: Vec<Placement>,
-    /// Those of views that another camera shares; `None` of an instrument that is one camera.
+    /// The placements of views that another camera shares; `None` for a single camera.
     shared: Option<Vec<Placement>>,
 }
 
@@ -47,16 +47,16 @@ fn with_board(seen: &CameraFrame) -> Option<(&FrameFacts, &Detection)> {
     Some((&seen.frame, seen.board()?))
 }
 
-/// Decides, frame set by frame set in their order.
+/// Decides on each frame set, in their order.
 #[derive(Debug, Clone)]
 pub struct Gate {
     options: AdmissionOptions,
-    /// The frame before of each camera, with a board in it.
+    /// The previous frame of each camera, if it shows the board.
     before: Vec<Option<SeenBefore>>,
 }
 
 impl Gate {
-    /// A gate of a session that begins, or goes on, with its next frame set.
+    /// A gate for a session that begins, or resumes, with its next frame set.
     pub fn new(cameras: usize, options: &AdmissionOptions) -> Self {
         Self { options: *options, before: vec![None; cameras] }
     }
@@ -87,7 +87,7 @@ impl Gate {
         })
     }
 
-    /// Takes what the session will observe next.
+    /// Takes the frame set that the session will observe next.
     pub fn take(&mut self, frame_set: &[Option<CameraFrame>]) {
         for (before, frame) in self.before.iter_mut().zip(frame_set) {
             let Some(seen) = frame else { continue };
@@ -99,8 +99,8 @@ impl Gate {
         }
     }
 
-    /// The camera of this index gives no frames: what comes next is not compared with what came
-    /// before.
+    /// The camera of this index stopped giving frames: its next frame is not compared with the
+    /// previous one.
     pub fn lost(&mut self, camera: usize) {
         if let Some(before) = self.before.get_mut(camera) {
             *before = None;

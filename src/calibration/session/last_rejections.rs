@@ -18,8 +18,9 @@ impl LastRejections {
         }
     }
 
-    /// What the kind that rejected more than half of `frames` says; `None` where there is none, where
-    /// it only says that views were not new, or where it is not known since the session was resumed.
+    /// The message of the kind that rejected more than half of `frames`; `None` if there is no such
+    /// kind, if it only means that views were not new, or if none came since the session was
+    /// resumed.
     pub(super) fn why_most(&self, rejected: &Rejections, frames: u64) -> Option<String> {
         let kind = rejected.most_frequent().filter(|kind| 2 * rejected.of(kind) > frames)?;
         let last = self.by_kind.get(kind).filter(|last| !last.is_known_already())?;

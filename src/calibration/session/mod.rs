@@ -1,12 +1,13 @@
 //! What the product decides: a calibration session of an instrument as a state machine. Frame sets
-//! go in (what each camera gave at about the same time), [`Action`]s come out; whoever owns the
-//! session performs them. How it ends is in `ending`, what one camera gathers in `camera`.
+//! go in (what each camera gave at about the same time), [`Action`]s come out, and the owner of the
+//! session performs them. `ending` has how it ends, `camera` what one camera gathers.
 //!
-//! A single camera is an instrument of one. Each camera keeps the views that teach something of its
-//! own lens; with each of them, the other cameras that see the board in that frame set keep theirs
-//! too, new to them or not: it says where they are. What two cameras see together is also kept for
-//! what it teaches of both (`pairs`), and what depth measures for what it teaches of the depth
-//! camera (`depth_part`). A view is shared only if the board hardly moved between the two images.
+//! A single camera is an instrument of one. Each camera keeps the views that add information about
+//! its own lens. With each of them, the other cameras that see the board in that frame set keep
+//! theirs too, new to them or not: such a view constrains the poses between the cameras. Views that
+//! two cameras share are also kept for their information about the pair (`pairs`), and depth for
+//! its information about the depth camera (`depth_part`). A view is shared only if the board hardly
+//! moved between the two images.
 //!
 //! It reads no clock and starts no thread: time comes inside frames and requests. Which views are
 //! kept depends on the frames alone; only reaching an uncertainty goal depends on when estimates
@@ -58,10 +59,10 @@ pub struct Session {
     together: Together,
     pairs: Pairs,
     kept: Vec<KeptView>,
-    /// Numbers are never used twice, whatever became of the views that had them.
+    /// Numbers are never reused, even if their views were exchanged.
     next_number: u32,
     frame_sets: u32,
-    /// Of what came before this run, and of what was waited without frames.
+    /// Time before this run, and time waited without frames.
     other_collecting_s: f64,
 }
 
@@ -118,12 +119,12 @@ impl Session {
         self.cameras.get(kept.camera)?.key_frames().get(kept.view as usize)
     }
 
-    /// What the camera of this index kept last of a scene.
+    /// The last key frame that the camera of this index kept.
     pub fn last_key_frame(&self, camera: usize) -> Option<&KeyFrame> {
         self.cameras.get(camera)?.key_frames().last()
     }
 
-    /// Takes one frame set: what each camera gave, in the instrument's order. `None` once the
+    /// Takes one frame set: the frame of each camera, in the instrument's order. `None` once the
     /// session takes no more.
     pub fn observe(&mut self, frame_set: &[Option<CameraFrame>]) -> Option<Observed> {
         if self.record.state != SessionState::Collecting {
@@ -166,8 +167,8 @@ impl Session {
             && self.cameras.get(camera).is_some_and(|camera| camera.would_keep(frame, detection))
     }
 
-    /// Takes the estimate that [`Action::Estimate`] asked for; one that could not be made leaves
-    /// the one before.
+    /// Takes the estimate that [`Action::Estimate`] requested; `None`, if it could not be made,
+    /// keeps the previous one.
     pub fn estimated(&mut self, camera: usize, estimate: Option<EstimateSoFar>) -> Vec<Action> {
         let estimate = estimate.filter(|_| !self.record.state.is_over());
         let is_new = estimate.is_some();
@@ -201,14 +202,15 @@ impl Session {
             actions.extend(self.request_estimates(|other| other == camera && outdated));
             actions.extend(self.end_if_reached());
         } else {
-            // The estimate came with its advice.
+            // The estimate renewed the guidance, which a session that no longer collects must not
+            // show.
             self.record.ask_for_nothing();
         }
         actions
     }
 
-    /// Solves what has been gathered; with too few views it fails at once. Nothing new for one that
-    /// solves already. `now_ns` is UTC since the Unix epoch.
+    /// Solves what has been gathered; with too few views it fails at once. No actions if it is
+    /// solving already. `now_ns` is UTC since the Unix epoch.
     ///
     /// # Errors
     /// [`SessionOver`].
@@ -217,7 +219,7 @@ impl Session {
         self.record.stop(enough, now_ns)
     }
 
-    /// Gives it up; its views stay. `now_ns` is UTC since the Unix epoch.
+    /// Gives the session up; its views stay. `now_ns` is UTC since the Unix epoch.
     ///
     /// # Errors
     /// [`SessionOver`].
@@ -230,8 +232,8 @@ impl Session {
         self.record.solved(outcome, now_ns)
     }
 
-    /// Takes the calibration that answers [`Action::Solve`]: the estimate is as it says from now
-    /// on.
+    /// Takes the calibration that answers [`Action::Solve`]: from now on the estimate is that of
+    /// the calibration.
     pub fn calibrated(&mut self, calibration: &Calibration) -> Vec<Action> {
         self.record.calibrated(calibration)
     }
@@ -242,8 +244,8 @@ impl Session {
         self.record.fail(reason, now_ns)
     }
 
-    /// The camera of this index gives no frames for `reason`: the session waits for it, and says
-    /// so.
+    /// The camera of this index delivers no frames for `reason`: the session waits for it, and
+    /// reports this.
     pub fn camera_lost(&mut self, camera: usize, reason: &str) -> Vec<Action> {
         let is_rig = self.is_rig();
         let Some(part) = self.cameras.get_mut(camera) else { return Vec::new() };
@@ -269,8 +271,8 @@ impl Session {
         Vec::new()
     }
 
-    /// The device that a camera is gives frames; those of another one than before end the session,
-    /// whose views would mix. `now_ns` is UTC since the Unix epoch.
+    /// `device` gives the frames of `camera`. If it is not the device of the earlier frames, the
+    /// session ends: views of two devices must not mix. `now_ns` is UTC since the Unix epoch.
     pub fn device_gives_frames(&mut self, camera: &str, device: &str, now_ns: i64) -> Vec<Action> {
         if self.record.state != SessionState::Collecting {
             return Vec::new();
@@ -291,8 +293,8 @@ impl Session {
         self.end_if_reached()
     }
 
-    /// No frame will ever come again from any camera: a session that was to end by itself ends now,
-    /// another one waits to be stopped.
+    /// No frame will ever come again from any camera: a session with a goal ends now, another one
+    /// waits to be stopped.
     pub fn source_ended(&mut self, reason: &str, now_ns: i64) -> Vec<Action> {
         let enough = self.enough();
         self.record.source_ended(reason, enough, now_ns)
@@ -302,13 +304,14 @@ impl Session {
         Sharing { cameras: &self.cameras, kept: &self.kept }
     }
 
-    /// How the board was held in the shared views of a rig's camera: held otherwise it may be kept
-    /// for what it teaches of two cameras together.
+    /// The placements of the board in the shared views of a rig's camera: a board held differently
+    /// may be kept for its information about two cameras together.
     fn shared_placements(&self, camera: usize) -> Option<Vec<Placement>> {
         self.is_rig().then(|| self.sharing().placements(camera))
     }
 
-    /// Takes in what the kept views say of the cameras two and two, and asks for the next view.
+    /// Updates the information in the kept views about each pair of cameras, and requests the next
+    /// view.
     fn pair_up(&mut self) {
         if self.cameras.len() > 1 && self.record.state == SessionState::Collecting {
             let goal_px = self.record.request.finish.and_then(|finish| finish.uncertainty_px);
@@ -321,7 +324,8 @@ impl Session {
         self.cameras.len() > 1 || !self.record.members.is_empty()
     }
 
-    /// Keeps what is new to a camera, and with it what the others saw in the same frame set.
+    /// Keeps what is new to a camera, and with it the views of the other cameras in the same frame
+    /// set.
     fn keep(
         &mut self,
         frame_set: &[Option<CameraFrame>],
@@ -363,7 +367,7 @@ impl Session {
                 }
                 if let Some(Ok(view)) = admissions[other] {
                     let (camera, frame_set) = (other, number);
-                    // One that was exchanged has its place no more.
+                    // The new view has the index of the one it was exchanged for.
                     self.kept.retain(|old| (old.camera, old.view) != (camera, view));
                     kept.push(KeptView { number: self.next_number, camera, frame_set, view });
                     self.next_number += 1;
@@ -387,7 +391,8 @@ impl Session {
         if let ([only], false) = (self.cameras.as_slice(), self.is_rig()) {
             return only.enough();
         }
-        // A lens that is held needs no views of its own: one says where the camera is.
+        // A lens that is held fixed needs no views of its own: one view determines the camera's
+        // pose.
         let is_enough = |camera: &&CameraPart| {
             let is_held = self.record.request.held(&camera.summary().camera).is_some();
             camera.has_enough() || (is_held && camera.kept() > 0)
@@ -426,7 +431,7 @@ impl Session {
         self.record.solve_or_fail_by_itself(enough)
     }
 
-    /// Renews what the record says of the cameras and of all of them together.
+    /// Renews the record's summary of each camera and of all of them.
     fn renew(&mut self, is_rig: bool) {
         let longest_s = self.cameras.iter().map(CameraPart::collecting_s).fold(0.0, f64::max);
         let record = &mut self.record;
@@ -450,7 +455,7 @@ impl Session {
         record.coverage = worst.map(|member| member.coverage.clone()).unwrap_or_default();
         record.estimate = SessionMember::worst_estimate(&members);
         if record.state == SessionState::Collecting {
-            // In the image of a camera that sees the board, if one of them does.
+            // Named first: a camera that sees the board now, if one of the two does.
             let sees = |camera: usize| {
                 self.cameras[camera].board().is_some_and(|part| part.newest().is_some())
             };

@@ -1,8 +1,8 @@
-//! What the cameras of a rig know of each other, two and two, and the view to ask for that two of
-//! them see.
+//! The information about the relative poses of a rig's cameras, pair by pair, and the shared view
+//! to request next.
 //!
-//! The cameras are joined as a tree: each one to that of those before it from which it is known
-//! best. What its other pairs say of it is left out, so that it is known rather better than stated.
+//! The pairs form a minimum spanning tree: each camera is joined by the pair of least uncertainty.
+//! The other pairs are ignored, so the true uncertainty is rather smaller than the stated one.
 
 use crate::calibration::guidance::Guidance;
 use crate::calibration::information::next_shared_view::SharedView;
@@ -26,11 +26,11 @@ pub(super) struct Link {
 struct NextShared {
     cameras: [usize; 2],
     view: SharedView,
-    /// Nothing else teaches the rig as much.
+    /// No other view adds as much information about the rig.
     is_asked_for: bool,
 }
 
-/// A rig's cameras, two and two.
+/// A rig's cameras, pair by pair.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Pairs {
     pub(super) links: Vec<Link>,
@@ -40,7 +40,8 @@ pub(super) struct Pairs {
 }
 
 impl Pairs {
-    /// What `cameras` know of each other from the views that were `kept`, with the figure to reach.
+    /// The information in the `kept` views about the relative poses of `cameras`, with the
+    /// uncertainty to reach.
     pub(super) fn of(cameras: &[CameraPart], kept: &[KeptView], goal_px: Option<f64>) -> Self {
         let mut links: Vec<Link> = Vec::new();
         let all = (0..cameras.len()).flat_map(|b| (0..b).map(move |a| [a, b]));
@@ -68,8 +69,8 @@ impl Pairs {
         Self { links, next, is_whole }
     }
 
-    /// Whether every camera is known from another one to `goal_px`: a pair's uncertainty counts as
-    /// many times as the solve finds its cameras' own to be greater than expected.
+    /// Whether every camera's pose is known to `goal_px`. A pair's uncertainty is multiplied by the
+    /// factor by which the solve finds its cameras' own uncertainty greater than predicted.
     pub(super) fn reach(&self, cameras: &[CameraPart], goal_px: f64) -> bool {
         let reaches = |link: &Link| {
             let harder = link.cameras.iter().filter_map(|at| Some(cameras[*at].board()?.harder()));
@@ -78,8 +79,8 @@ impl Pairs {
         cameras.len() < 2 || (self.is_whole && self.links.iter().all(reaches))
     }
 
-    /// Asks each camera for its part of the view that two should share, and those that are not
-    /// asked for one for their own again.
+    /// Asks each of the two cameras for its part of the shared view, and every other camera for its
+    /// own suggestion again.
     pub(super) fn ask(&self, cameras: &mut [CameraPart]) {
         for (camera, part) in cameras.iter_mut().enumerate() {
             let asked = part.board().and_then(|part| self.asked_of(camera, part));
@@ -87,8 +88,8 @@ impl Pairs {
         }
     }
 
-    /// Whether this camera and another one see together what teaches more of both, of the `usable`
-    /// of a frame set.
+    /// Whether this camera and another one share, among the `usable` views of a frame set, a view
+    /// that adds enough information about the pair.
     pub(super) fn are_taught(
         &self,
         sharing: Sharing<'_>,
@@ -113,14 +114,14 @@ impl Pairs {
         })
     }
 
-    /// The cameras that this one is the first of two of.
+    /// The cameras that form a pair with this one as its first.
     fn second_of(&self, first: usize) -> impl Iterator<Item = usize> {
         let links = self.links.iter().filter(move |link| link.cameras[0] == first);
         links.map(|link| link.cameras[1])
     }
 
-    /// Whether a view that two cameras see is worth keeping for what it teaches of both together:
-    /// at least `worth` of half of what the views that they share taught on average.
+    /// Whether a shared view is worth keeping for its information about the pair: at least `worth`
+    /// times half of what the pair's shared views added on average.
     fn is_worth_keeping(&self, pair: [usize; 2], views: [&TaughtView; 2], worth: f64) -> bool {
         self.links.iter().filter(|link| link.cameras == pair).any(|link| {
             let share = 0.5 * worth / link.teaching.shared().max(1) as f64;
@@ -128,12 +129,12 @@ impl Pairs {
         })
     }
 
-    /// The two cameras that are asked for a view that both see.
+    /// The two cameras that are asked for a shared view.
     pub(super) fn asked(&self) -> Option<[usize; 2]> {
         self.next.as_ref().filter(|next| next.is_asked_for).map(|next| next.cameras)
     }
 
-    /// What one camera is asked for of a view that it shares.
+    /// The part of one camera in the shared view that is asked for.
     fn asked_of(&self, camera: usize, part: &BoardPart) -> Option<SuggestedView> {
         let next = self.next.as_ref().filter(|next| next.is_asked_for)?;
         let at = next.cameras.iter().position(|asked| *asked == camera)?;
@@ -142,8 +143,8 @@ impl Pairs {
         part.teaching()?.suggested(view.camera_from_board[at], &view.normals[at], views_to_go)
     }
 
-    /// The figure after the view that is asked for, and how many views the rig takes, of which
-    /// `members` is what each camera's own guidance says; neither where nobody knows.
+    /// The uncertainty after the suggested shared view, and how many views the rig still needs,
+    /// including those of each camera's own guidance in `members`; `None` where unknown.
     pub(super) fn figures<'a>(
         &self,
         members: impl Iterator<Item = &'a Guidance>,
@@ -164,7 +165,7 @@ fn teachings(cameras: &[CameraPart], pair: [usize; 2]) -> Option<[&Teaching; 2]>
     Some([teaching(pair[0])?, teaching(pair[1])?])
 }
 
-/// The views of frame sets that both cameras have a view of, as their numbers in each.
+/// The frame sets of which both cameras kept a view, as the view's number in each camera.
 fn shared(kept: &[KeptView], [a, b]: [usize; 2]) -> Vec<[u32; 2]> {
     let of_a = kept.iter().filter(|view| view.camera == a);
     of_a.filter_map(|own| {
@@ -174,9 +175,9 @@ fn shared(kept: &[KeptView], [a, b]: [usize; 2]) -> Vec<[u32; 2]> {
     .collect()
 }
 
-/// The shared view that lowers the greatest uncertainty between two cameras most. It is asked for
-/// where that uncertainty is at least that of the lenses, and no view of one of them alone lowers
-/// it as much.
+/// The shared view that most lowers the greatest uncertainty between two cameras. It is asked for
+/// if that uncertainty is at least that of the lenses, and no view of one camera alone lowers it
+/// more.
 fn next_shared(links: &[Link], cameras: &[CameraPart], goal_px: Option<f64>) -> Option<NextShared> {
     let uncertainty_px = |link: &&Link| link.teaching.uncertainty_px();
     let weakest = links.iter().max_by(|a, b| uncertainty_px(a).total_cmp(&uncertainty_px(b)))?;

@@ -1,12 +1,12 @@
-//! What one camera of a session counts, whatever its target is: time, and what keeps frames from
-//! becoming views.
+//! What every camera of a session counts, whatever the target: time, and why frames become no
+//! views.
 
 use crate::calibration::admission::Rejection;
 
 /// Consecutive frames with the same obstacle before the operator is informed.
 const OBSTACLE_FRAMES: u32 = 4;
-/// Frames further from each other than this are no plausible step of time, in seconds: a camera was
-/// away, or its clock was set.
+/// A longer step between two frames is not counted as time, in seconds: the camera was away, or its
+/// clock was set.
 const LONGEST_STEP_S: f64 = 60.0;
 
 /// Frame time that was spent collecting.
@@ -17,7 +17,7 @@ pub(super) struct FrameTime {
 }
 
 impl FrameTime {
-    /// Goes on counting as long as time rises in plausible steps.
+    /// Adds the step since the last frame, if it is plausible.
     pub(super) fn count(&mut self, time_ns: i64) {
         let last_ns = self.last_ns.replace(time_ns);
         let step_s = last_ns.map_or(0.0, |last_ns| time_ns.saturating_sub(last_ns) as f64 * 1e-9);
@@ -26,7 +26,7 @@ impl FrameTime {
         }
     }
 
-    /// The camera gives no frames: what comes next is not counted from what came before.
+    /// The camera stopped giving frames: the time until the next frame is not counted.
     pub(super) fn lost(&mut self) {
         self.last_ns = None;
     }
@@ -37,7 +37,7 @@ impl FrameTime {
     }
 }
 
-/// What the newest frames in a row were rejected for.
+/// Why the newest consecutive frames were rejected.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Obstacle(Option<Lasting>);
 
@@ -50,8 +50,8 @@ struct Lasting {
 }
 
 impl Obstacle {
-    /// Takes what became of a frame. Another board than the one asked for is not recognized in
-    /// every frame: a few that show none in between say nothing against it.
+    /// Takes what became of a frame. A board other than the one asked for is not recognized in
+    /// every frame: a few frames without any board in between do not end the obstacle.
     pub(super) fn note(&mut self, admission: &Result<u32, Rejection>) {
         let Err(rejection) = admission else {
             self.0 = None;
@@ -70,7 +70,7 @@ impl Obstacle {
         self.0 = Some(Lasting { what: rejection.clone(), frames, quiet: 0 });
     }
 
-    /// One that lasts and is not a flicker.
+    /// The obstacle, once it lasts long enough to report.
     pub(super) fn lasting(&self) -> Option<&Rejection> {
         self.0.as_ref().filter(|it| it.frames >= OBSTACLE_FRAMES).map(|it| &it.what)
     }

@@ -1,4 +1,4 @@
-//! A session that goes on with what was stored of it.
+//! Sessions that resume from what was stored.
 
 use crate::calibration::admission::AdmissionOptions;
 use crate::calibration::scene::correspondence::SceneImage;
@@ -7,9 +7,8 @@ use crate::calibration::session_record::{SessionRecord, SessionState};
 use crate::calibration::view::{FrameFacts, View};
 
 impl Session {
-    /// A session as it was stored, with its views in order; those of a camera that is not in the
-    /// rig any more have a place that it does not have, and are left out. One that was collecting
-    /// goes on collecting, one that was solving solves again.
+    /// A stored session with its views in order. Views of a camera that is no longer in the rig are
+    /// left out. One that was collecting goes on collecting, one that was solving solves again.
     pub fn resume(
         record: SessionRecord,
         cameras: &[String],
@@ -63,8 +62,8 @@ impl Session {
         (session, actions)
     }
 
-    /// A session as it was stored, given up for `reason`: all that it says but its end stays as it
-    /// was. `now_ns` is UTC since the Unix epoch.
+    /// A stored session, given up for `reason`: the record stays as it was, except for its end.
+    /// `now_ns` is UTC since the Unix epoch.
     pub fn give_up(record: SessionRecord, reason: &str, now_ns: i64) -> (Self, Vec<Action>) {
         let mut session = Self::begin(record.clone(), &[], &AdmissionOptions::default());
         session.record = record;
@@ -72,7 +71,7 @@ impl Session {
         (session, actions)
     }
 
-    /// What to do first with its views back.
+    /// The first actions, after its views were restored.
     fn resumed(&mut self) -> Vec<Action> {
         self.pair_up();
         self.renew(self.is_rig());

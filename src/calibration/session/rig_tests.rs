@@ -1,4 +1,5 @@
-//! A rig's session against seeded frame sets: what is kept together, what is not, how it ends.
+//! Tests of a rig's session with seeded frame sets: which views are kept together, which are not,
+//! and how the session ends.
 
 use nalgebra::{Point3, Vector3};
 
@@ -64,11 +65,11 @@ fn what_is_new_to_one_camera_is_kept_of_all_that_see_it() {
     let observed = session.observe(&first).unwrap();
     assert_eq!(places(&session), [(0, 0, 0), (1, 0, 0)]);
     assert_eq!(observed.kept, session.kept());
-    // New to the left camera alone.
+    // New for the left camera only.
     session
         .observe(&[sees(1000, board(0.1, 0.5, 0.5)), sees(1000, board(-0.1, 0.5, 0.0)), None])
         .unwrap();
-    // New to none.
+    // New for no camera.
     session
         .observe(&[sees(2000, board(0.1, 0.5, 0.5)), sees(2000, board(-0.1, 0.5, 0.0)), None])
         .unwrap();
@@ -130,7 +131,7 @@ fn nothing_is_asked_for_while_it_solves() {
     }
     session.stop(NOW_NS).unwrap();
     assert_eq!(session.record().state, SessionState::Solving);
-    // One that was being made when it was stopped.
+    // An estimate that was in progress when the session was stopped.
     perform(&mut session, &[Action::Estimate(0)]);
     let record = session.record();
     let mut guidances = record.members.iter().map(|it| &it.guidance).chain([&record.guidance]);
@@ -171,8 +172,8 @@ fn true_lens() -> Lens {
     Lens::pinhole(CameraMatrix { fx: 576.0, fy: 576.0, cx: 319.5, cy: 239.5, skew: 0.0 })
 }
 
-/// What a camera sees of a board: corners are off by up to 0.2 px, by 0.1 px in the root mean
-/// square.
+/// The detection of a board by a camera: its corners have errors of up to 0.2 px, with an rms of
+/// 0.1 px.
 fn seen_at(camera_from_board: &Pose, seed: &mut u64) -> Detection {
     let mut found = detection_at(Vector3::new(0.0, 0.0, 0.5), Vector3::zeros());
     let mut noise = || {
@@ -199,7 +200,7 @@ fn placement(k: usize) -> Pose {
     Pose::new(rotation, at - rotation * Vector3::new(0.1, 0.0625, 0.0))
 }
 
-/// Performs what a session asks for but to solve: whether it asked for that.
+/// Performs what a session requests except the solve. Returns whether the solve was requested.
 fn perform(session: &mut Session, actions: &[Action]) -> bool {
     let mut open = actions.to_vec();
     let mut solves = false;
@@ -230,7 +231,7 @@ fn pair_session(finish: Option<Finish>) -> Session {
     )
 }
 
-/// Two cameras before a board that is carried about, each frame set a second after the other.
+/// Two cameras with a board that is moved in front of them, one frame set each second.
 struct Shown {
     session: Session,
     seed: u64,
@@ -239,8 +240,8 @@ struct Shown {
 }
 
 impl Shown {
-    /// Thirty views of either camera alone, and three of a board far away that both see, which say
-    /// little of where the second camera is.
+    /// Thirty views of each camera alone, and three of a board far away that both see, which add
+    /// little information about the relative pose of the cameras.
     fn gathered(goal_px: f64) -> Self {
         let finish = Finish { uncertainty_px: Some(goal_px), ..Finish::default() };
         let session = pair_session(Some(finish));
@@ -269,7 +270,7 @@ impl Shown {
         self.solves |= perform(&mut self.session, &observed.actions);
     }
 
-    /// How far the less known of both lenses is known, and both cameras together.
+    /// The uncertainty of the less certain lens, and that of both cameras together.
     fn uncertainty_px(&self) -> [f64; 2] {
         let members = self.session.record().members.iter();
         let medians = members.map(|it| it.estimate.as_ref().unwrap().uncertainty_px.median);
@@ -282,7 +283,7 @@ fn cameras_that_know_themselves_are_asked_for_what_both_see_until_they_know_each
     let [own_px, together_px] = Shown::gathered(1e-6).uncertainty_px();
     eprintln!("each by itself {own_px:.4} px, both together {together_px:.4} px");
     assert!(together_px > 1.3 * own_px, "{own_px}, {together_px}");
-    // Between what each camera is known to and what both are known to.
+    // Between the uncertainty of each camera alone and that of both together.
     let mut shown = Shown::gathered((own_px * together_px).sqrt());
     assert!(!shown.solves);
     assert!(shown.session.record().members.iter().all(|member| member.views_shared >= 3));
@@ -297,7 +298,7 @@ fn cameras_that_know_themselves_are_asked_for_what_both_see_until_they_know_each
         let [left, right] =
             [0, 1].map(|place| record.members[place].guidance.camera_from_board.unwrap());
         let truth = right_from_left() * left;
-        // The same place before both, as far as they know each other.
+        // The same place in front of both, within the uncertainty of their relative pose.
         assert!(truth.angle_to(&right) < 0.05, "{truth:?}, {right:?}");
         assert!((truth.translation() - right.translation()).norm() < 0.1);
         let kept = shown.session.kept().len();

@@ -101,7 +101,7 @@ impl ScenePart {
     fn admit(&mut self, seen: &CameraFrame) -> Result<u32, Rejection> {
         let image = match &seen.seen {
             Ok(FrameContent::Scene(image)) => image,
-            // A session without a board has features searched for, and nothing else.
+            // Frames of a session without a board are searched for features only.
             Ok(FrameContent::Board(_)) => return Err(Rejection::NoTexture { features: 0 }),
             Err(rejection) => return Err(rejection.clone()),
         };
@@ -111,7 +111,7 @@ impl ScenePart {
         if let Err(rejection) = admission
             && !self.starts_anew(&rejection)
         {
-            // What was kept before is in it.
+            // It shows the scene of the key frames.
             self.summary.boards_seen += u64::from(rejection.is_known_already());
             return Err(rejection);
         }
@@ -122,9 +122,9 @@ impl ScenePart {
         Ok(self.add(&seen.frame, image))
     }
 
-    /// Whether a frame that shows nothing of the key frames becomes one nevertheless: these are too
-    /// few to be solved, most frames are of something else, the operator was asked to go back and
-    /// went on, and the frame shows what the one before does.
+    /// Whether a frame that shows nothing of the key frames becomes one nevertheless: there are too
+    /// few key frames to solve, most frames show another scene, the operator was asked to go back
+    /// and did not, and the frame matches the previous one.
     fn starts_anew(&self, rejection: &Rejection) -> bool {
         let Rejection::UnknownScene { matches } = *rejection else { return false };
         let is_lasting = self.obstacle.lasting().is_some_and(|it| it.kind() == rejection.kind());
@@ -137,7 +137,7 @@ impl ScenePart {
         self.summary.rejected.of("unknown_scene")
     }
 
-    /// Takes back a key frame as it was stored.
+    /// Restores a stored key frame.
     pub(super) fn restore(&mut self, frame: &FrameFacts, image: &SceneImage) -> Option<u32> {
         let fits = self.image_size().is_none_or(|size| size == image.size);
         (fits && self.key_frames.len() < self.limit).then(|| self.add(frame, image))
@@ -176,9 +176,9 @@ impl ScenePart {
         Err(format!("{kept} key frames were kept and at least {LEAST_VIEWS} are needed: {why}"))
     }
 
-    /// Refuses a few key frames among images most of which share nothing with them, as a solve of all
-    /// of them does: of the key frames alone it has no sign of the others. More key frames that share
-    /// something are an answer, whatever the camera saw besides.
+    /// Refuses if the key frames are few and most images share nothing with them, as a solve of all
+    /// images does: the key frames alone do not show that. With more key frames that share
+    /// something, whatever else the camera saw does not matter.
     fn check_connected(&self) -> Result<(), String> {
         let (unknown, shared) = (self.unknown(), self.summary.boards_seen);
         if unknown <= shared || self.key_frames.len() >= LEAST_KEY_FRAMES_FOR_GOAL as usize {
@@ -189,7 +189,7 @@ impl ScenePart {
         Err(format!("{unknown} of {images} images share too little with the key frames: {why}"))
     }
 
-    /// Whether the key frames reach the goals of `finish` but for its time.
+    /// Whether the key frames reach the goals of `finish`, its time limit aside.
     pub(super) fn reaches(&self, finish: &Finish) -> bool {
         if self.check_connected().is_err() {
             return false;
@@ -214,8 +214,8 @@ impl ScenePart {
         !std::mem::replace(&mut self.estimating, true)
     }
 
-    /// Takes the estimate that was asked for, `None` where it was not made; one that could not be
-    /// made leaves the one before.
+    /// Takes the estimate that was asked for; `None`, if it was not or could not be made, keeps the
+    /// previous one.
     pub(super) fn estimated(&mut self, so_far: Option<SceneSoFar>) {
         self.estimating = false;
         let Some(SceneSoFar { running, is_trusted, next_step }) = so_far else { return };

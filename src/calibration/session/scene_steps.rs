@@ -1,22 +1,22 @@
-//! How a camera went from image to image before a scene, where that is why its key frames are too
-//! few.
+//! How a camera moved from image to image in front of a scene: why its key frames are too few.
 
 use crate::calibration::admission::Rejection;
 use crate::calibration::scene::correspondence::SceneImage;
 
-/// The last frames of another scene that are counted.
+/// Frames of another scene that are remembered, the newest.
 const COUNTED: usize = 100;
-/// Images that show nothing of the key frames are no reason where this many times as many do.
+/// Images that show nothing of the key frames are not given as the reason if this many times as
+/// many images are too similar to them.
 const FEW: u64 = 4;
 
 /// The steps of one camera.
 #[derive(Debug, Clone, Default)]
 pub(super) struct SceneSteps {
     before: Option<SceneImage>,
-    /// Of the last frames that showed nothing of the key frames, how many matches with the frame
-    /// before agreed.
+    /// For the newest frames that showed nothing of the key frames: the number of inlier matches
+    /// with the previous frame.
     between_neighbors: Vec<usize>,
-    /// A step was too small, but larger than those of a camera that is held still.
+    /// A step was too small for a key frame, but larger than the motion of a camera held still.
     has_moved: bool,
 }
 
@@ -26,7 +26,7 @@ impl SceneSteps {
         self.before.as_ref()
     }
 
-    /// Takes the next image and what became of it.
+    /// Takes the next image and the decision on it.
     pub(super) fn note(&mut self, image: &SceneImage, admission: &Result<(), Rejection>) {
         self.before = Some(image.clone());
         match admission {
@@ -41,9 +41,10 @@ impl SceneSteps {
         }
     }
 
-    /// Why key frames are few of which `similar` images show too little new, and `unknown` nothing.
+    /// Why there are few key frames, when `similar` images show too little new and `unknown` none
+    /// of them.
     pub(super) fn why_few(&self, similar: u64, unknown: u64) -> String {
-        // Someone who walks past a camera hides the scene in a few images.
+        // A person who walks past the camera hides the scene in a few images.
         let unknown = if unknown * FEW < similar { 0 } else { unknown };
         match (similar, unknown) {
             (0, _) => self.why_unknown(),

@@ -1,4 +1,5 @@
-//! Sessions without a board: seeded points with features of their own, seen from known places.
+//! Tests of sessions without a board: seeded points with descriptors of their own, seen from known
+//! poses.
 
 use nalgebra::{Point3, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -33,7 +34,7 @@ impl SeededScene {
         let points = (0..count).map(|_| {
             let mut uniform = |reach: f64| random.random_range(-reach..reach);
             let point = Point3::new(uniform(5.0), uniform(4.0), DISTANCE + uniform(2.0));
-            // Few numbers are not 0, so that two of them share next to nothing.
+            // Few entries are not 0, so that two descriptors have next to nothing in common.
             let mut numbers = [0; LENGTH];
             (0..8).for_each(|_| numbers[random.random_range(0..LENGTH)] = 181);
             (point, Descriptor(numbers))
@@ -66,8 +67,8 @@ impl SeededScene {
     }
 }
 
-/// A thing as slim as a statue before a long lens: `count` points on an upright cylinder, each with
-/// from how far around it is still recognized.
+/// An object as slim as a statue in front of a long lens: `count` points on an upright cylinder,
+/// each with the angle over which it is still recognized.
 struct Statue {
     points: Vec<(f64, f64, f64, Descriptor)>,
     random: ChaCha8Rng,
@@ -88,8 +89,8 @@ impl Statue {
         Self { points, random: ChaCha8Rng::seed_from_u64(seed + 1000) }
     }
 
-    /// From a distance, after a way of `angle` around it. A feature has another descriptor where it
-    /// faces the camera by too different an angle.
+    /// An image from a distance, after a motion of `angle` around the object. A feature has another
+    /// descriptor if it faces the camera at too different an angle.
     fn image(&mut self, angle: f64) -> SceneImage {
         const RADIUS: f64 = 0.2;
         let lens = Lens::from_parameters(LensModel::Pinhole, &[1500.0, 1500.0, 322.0, 236.0, 0.0]);
@@ -103,7 +104,7 @@ impl Statue {
             let Some(pixel) = lens.pixel_from_point(&Point3::new(x, *height, z)) else { continue };
             let mut noise = || NOISE_PX * self.random.random_range(-1.7..1.7);
             let pixel = Pixel::new(pixel.x + noise(), pixel.y + noise());
-            // It changes by steps, each point's at angles of its own.
+            // The descriptor changes in steps, for each point at angles of its own.
             let steps = ((angle + around * 9.0) / recognized).floor() as usize;
             let mut descriptor = *descriptor;
             descriptor.0.rotate_right(steps * 5 % LENGTH);

@@ -1,11 +1,12 @@
-//! What the cameras of a rig share: views of the same frame set, which say where the cameras are.
+//! What the cameras of a rig share: views of the same frame set, which determine the poses between
+//! the cameras.
 
 use crate::calibration::placement::Placement;
 use crate::calibration::session::action::{CameraFrame, KeptView};
 use crate::calibration::session::camera::CameraPart;
 use crate::calibration::session_record::SessionMember;
 
-/// Frame sets that a camera should share with another before anything else is asked for.
+/// Shared views that a camera should have before anything else is asked for.
 const WANTED: usize = 6;
 
 /// A session's cameras with what was kept of them.
@@ -33,20 +34,21 @@ impl<'a> Sharing<'a> {
         self.views(camera).filter_map(placement).collect()
     }
 
-    /// The same, where the camera should share more.
+    /// The same, if the camera should share more views.
     fn wanted(self, camera: usize) -> Option<Vec<Placement>> {
         Some(self.placements(camera)).filter(|shared| shared.len() < WANTED)
     }
 
-    /// Whether the board is held before a camera as in none of its shared views.
+    /// Whether the board is held unlike in all of this camera's shared views.
     pub(super) fn is_held_anew(self, camera: usize, seen: &CameraFrame) -> bool {
         let (frame, Some(detection)) = (&seen.frame, seen.board()) else { return false };
         self.cameras[camera].is_new_among(&self.placements(camera), frame, detection)
     }
 
-    /// Whether a camera sees what none of its shared views shows, and another camera sees it
-    /// `together` with it. A board is often kept while it still moves, which shares nothing where
-    /// cameras are not synchronized; held still it is new to no camera.
+    /// Whether a camera sees the board unlike in all of its shared views, and another camera sees
+    /// it `together` with it. A board is often kept while it still moves, and then nothing is
+    /// shared where cameras are not synchronized; once it is held still, it is new to no camera's
+    /// own lens.
     pub(super) fn is_new(
         self,
         frame_set: &[Option<CameraFrame>],
@@ -65,8 +67,8 @@ impl<'a> Sharing<'a> {
     }
 }
 
-/// What to do next for the camera that lacks most; `asked` are two that a view is asked for that
-/// both see, the one first whose image the board is to be moved in.
+/// What to do next, for the camera that lacks most. `asked` are the two cameras of the suggested
+/// shared view; the board is to be moved in the image of the first.
 pub(super) fn next_step(members: &[SessionMember], asked: Option<[usize; 2]>) -> String {
     let is_isolated = |(camera, member): &(usize, &SessionMember)| {
         let is_asked = asked.is_some_and(|asked| asked.contains(camera));

@@ -1,4 +1,4 @@
-//! The session against seeded frames: what it keeps, what it rejects, when it ends.
+//! Tests of the session with seeded frames: which views it keeps and rejects, and when it ends.
 
 use nalgebra::{Point3, Vector3};
 
@@ -56,7 +56,7 @@ fn estimate_of(views: u32, median: f64) -> Option<EstimateSoFar> {
     Some(EstimateSoFar { running, going_on: None, model_holds: true })
 }
 
-/// What became of a frame.
+/// The decision on a frame.
 fn admitted(
     session: &mut Session,
     frame: &FrameFacts,
@@ -71,7 +71,7 @@ fn stored(session: &Session) -> Vec<(KeptView, View)> {
     session.kept().iter().map(|kept| (*kept, session.view(kept).unwrap().clone())).collect()
 }
 
-/// A board on its way in `steps` from its last placement to the suggested view.
+/// A board that moves in `steps` from its last placement to the suggested view.
 fn carried_to_the_suggested_view(session: &Session, steps: u32) -> Vec<Detection> {
     let there = session.record().guidance.camera_from_board.unwrap();
     let middle = (there * Point3::new(0.1, 0.0625, 0.0)).coords;
@@ -83,7 +83,7 @@ fn carried_to_the_suggested_view(session: &Session, steps: u32) -> Vec<Detection
     (0..=steps).map(at).collect()
 }
 
-/// Feeds `detections` as frames from `first` on; the actions of all.
+/// Observes `detections` as frames from `first` on. Returns the actions of all.
 fn feed(session: &mut Session, first: u64, detections: &[Detection]) -> Vec<Action> {
     let observed = |(k, detection): (usize, &Detection)| {
         session.observe_frame(frame(first + k as u64), Ok(detection.clone())).unwrap()
@@ -378,7 +378,7 @@ fn a_full_session_exchanges_its_least_informative_view() {
     let options = AdmissionOptions { view_limit: 6, ..AdmissionOptions::default() };
     let record = SessionRecord::begin("01", "front", request, 1_000_000_000);
     let mut session = Session::begin(record, &[], &options);
-    // Five that hardly differ beside one that is tilted, and then other tilts.
+    // Five placements that hardly differ and a tilted one, and then other tilts.
     let across = |k: u32| Vector3::new(-0.1 + 0.05 * f64::from(k), 0.02, 0.5);
     let mut shown: Vec<Detection> =
         (0..5).map(|k| detection_at(across(k), Vector3::new(0.4, 0.0, 0.0))).collect();
@@ -418,7 +418,7 @@ fn a_board_on_its_way_to_the_suggested_view_is_waited_for() {
         host_time_ns: frame(13).host_time_ns + k as i64 * 30_000_000,
         ..frame(13 + k as u64)
     };
-    // Not on its way, the same view is kept.
+    // If the board is not on its way there, the same view is kept.
     let mut shown_at_once = session.clone();
     assert!(admitted(&mut shown_at_once, &on_the_way(0), Ok(&way[30])).is_ok());
 

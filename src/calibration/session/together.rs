@@ -3,10 +3,10 @@
 use crate::calibration::session::action::CameraFrame;
 use crate::detection::board_detection::Detection;
 
-/// How far the board may have moved between two cameras' images of a frame set, in pixels: what
-/// corners are known to.
+/// How far the board may move between two cameras' images of a frame set, in pixels: about the
+/// accuracy of corners.
 const SHARED_MOTION_PX: f64 = 0.3;
-/// Images nearer in time than this were taken together whatever the board does, in seconds.
+/// Images closer in time than this are simultaneous, however fast the board moves, in seconds.
 const SAME_TIME_S: f64 = 5e-4;
 
 /// How fast the board moves in each camera's images.
@@ -24,7 +24,7 @@ impl Together {
         Self { before: vec![None; cameras], motion_px_per_s: vec![None; cameras] }
     }
 
-    /// Takes the newest frame set; of a single camera there is nothing to compare.
+    /// Takes the newest frame set; a single camera has nothing to compare.
     pub(super) fn take(&mut self, frame_set: &[Option<CameraFrame>]) {
         if self.before.len() < 2 {
             return;
@@ -42,8 +42,8 @@ impl Together {
         }
     }
 
-    /// Whether two cameras took their images at the same time, or of a board that hardly moved
-    /// meanwhile.
+    /// Whether two cameras took their images at the same time, or the board hardly moved between
+    /// them.
     pub(super) fn are(&self, frame_set: &[Option<CameraFrame>], one: usize, other: usize) -> bool {
         let (Some(first), Some(second)) = (&frame_set[one], &frame_set[other]) else {
             return false;

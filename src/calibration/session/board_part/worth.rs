@@ -1,4 +1,5 @@
-//! What a frame would teach of one camera of a session, and whether that is worth keeping.
+//! The information that a frame would add about one camera of a session, and whether that is worth
+//! keeping.
 
 use crate::calibration::admission::Rejection;
 use crate::calibration::information::teaching::TaughtView;
@@ -9,14 +10,15 @@ use crate::calibration::view::{FrameFacts, View, target_as_seen};
 use crate::detection::board_detection::Detection;
 use crate::geometry::pose::Pose;
 
-/// Placements that differ by so many steps teach a lens that nothing is known of yet.
+/// Before the lens is estimated, a view whose placement differs from all others by at least this
+/// many steps is kept.
 const FIRST_STEPS: f64 = 0.6;
-/// While the board is brought to the suggested view, what teaches less than this part of it is not
-/// taken.
+/// While the board approaches the suggested view, a frame is kept only if it adds at least this
+/// fraction of the information that is expected of that view.
 const GOOD_PART: f64 = 0.7;
 
 impl BoardPart {
-    /// What a detection would teach; `None` where no pose of the whole board explains it.
+    /// The information in a detection; `None` where no pose of the whole board explains it.
     pub(super) fn taught(&self, frame: &FrameFacts, detection: &Detection) -> Option<TaughtView> {
         let fits = self.image_size().is_none_or(|expected| expected == frame.image_size);
         let teaching = self.teaching.as_ref().filter(|_| fits && detection.position_known)?;
@@ -39,8 +41,9 @@ impl BoardPart {
         (taught, seen)
     }
 
-    /// Whether a view teaches enough to be kept: the index of the view that goes for it, `None`
-    /// while there is room. One of which nothing can be said beforehand is kept: the solve decides.
+    /// Whether a view adds enough information to be kept: `Ok` with the index of the view it
+    /// replaces, or `None` while there is room. A view whose worth cannot be predicted is kept: the
+    /// solve decides.
     pub(super) fn room_for(
         &self,
         frame: &FrameFacts,
@@ -54,7 +57,7 @@ impl BoardPart {
         };
         let (gain, needed) = (teaching.gain(taught), self.share());
         let awaited = self.awaited(frame, &taught.camera_from_board);
-        // Before the lens is estimated every other placement counts towards estimating it.
+        // Before the lens is estimated, every view at a new placement helps to estimate it.
         let steps = self.placements.iter().map(|kept| kept.steps_to(placement));
         let counts = !teaching.is_estimated() && steps.fold(f64::INFINITY, f64::min) >= FIRST_STEPS;
         let counts = counts || self.depth.is_taught(taught, depth, self.options.worth);
@@ -80,13 +83,13 @@ impl BoardPart {
         }
     }
 
-    /// What a view must teach to be kept: its share of what the others taught.
+    /// The information that a view must add to be kept: half of `worth` over the number of views.
     pub(super) fn share(&self) -> f64 {
         0.5 * self.options.worth / self.views.len().max(1) as f64
     }
 
-    /// While the board is about to arrive at the suggested view: by how much another one must lower
-    /// the goal, a good part of what that does.
+    /// While the board is about to arrive at the suggested view: how much another view must lower
+    /// the goal's figure, as a good part of what that view would.
     pub(super) fn awaited(&self, frame: &FrameFacts, camera_from_board: &Pose) -> Option<f64> {
         let (teaching, suggested) = (self.teaching.as_ref()?, self.advice.suggested.as_ref()?);
         let poses = [camera_from_board, &suggested.camera_from_board];
