@@ -1,12 +1,12 @@
-//! Where the frames of an instrument's cameras meet while a session collects: frames taken at about
-//! the same time become one frame set, and what of it may be kept is searched in full before the
-//! session gets it. An instrument of one camera passes through.
+//! Combines the frames of an instrument's cameras while a session collects: frames taken at about
+//! the same time become one frame set. Those that may be kept are searched in full before the
+//! session gets them. For an instrument of one camera, each frame is a frame set by itself.
 //!
-//! It works on the threads of its cameras' detection: whichever of them completes a frame set
-//! finishes it, so that nothing waits here but frames that miss a partner, and of those each camera
-//! has [`LIMIT`] at most. A live camera never waits: frame sets go on without a lost camera, or
-//! once another camera's queue exceeds the limit. Replays that must not skip wait for each other,
-//! so that their results are reproducible.
+//! It has no thread of its own: the detection thread that completes a frame set also finishes it.
+//! Only frames that still lack the frames of other cameras wait here, at most [`LIMIT`] of each
+//! camera. A live camera never waits: frame sets are made without a lost camera, and without a late
+//! one once another camera's queue exceeds the limit. Replays that must not skip frames wait for
+//! each other, so that their results are reproducible.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -28,18 +28,19 @@ use crate::pipeline::message::{Message, SeenFrameSet};
 use crate::pipeline::metrics::Metrics;
 use crate::pipeline::seen::SeenFrame;
 
-/// Frames of one camera that may wait for the others'; with more, the others are gone on without.
-/// Half a second at 30 frames a second.
+/// How many frames of one camera may wait for those of the others; with more, frame sets are made
+/// without the others. Half a second at 30 frames a second.
 const LIMIT: usize = 16;
-/// Largest time between images of one frame set, in nanoseconds: a little more than lies
-/// between frames at 30 a second.
+/// The largest time between images of one frame set, in nanoseconds: a little more than the
+/// interval between frames at 30 a second.
 const TOGETHER_NS: i64 = 40_000_000;
-/// Images nearer in time than this are of one frame set, whatever comes next, in nanoseconds.
+/// Images that are nearer in time than this belong to one frame set, whatever arrives later, in
+/// nanoseconds.
 const SAME_TIME_NS: i64 = 500_000;
 /// How long a replay waits for another camera.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// Where the frames of a session's cameras meet.
+/// Combines the frames of a session's cameras.
 #[derive(Debug)]
 pub(super) struct Assembly {
     /// The session that they are for.
@@ -60,18 +61,18 @@ pub(super) struct Assembly {
 struct Finishing {
     gate: Gate,
     search: BoardSearch,
-    /// What each camera's device states of its sensors.
+    /// What each camera's device states about its sensors.
     factories: Vec<SharedFactory>,
 }
 
-/// What a device states of its sensors, as of when it was opened last.
+/// What a device states about its sensors, as of the last time it was opened.
 pub(super) type SharedFactory = Arc<Mutex<FactoryCalibration>>;
 
-/// What waits.
+/// The frames that wait.
 #[derive(Debug)]
 struct Queues {
     cameras: Vec<CameraQueue>,
-    /// Live frames are not taken at the moment.
+    /// Live frames are not taken for now.
     held: bool,
     closed: bool,
 }
@@ -79,19 +80,19 @@ struct Queues {
 #[derive(Debug, Default)]
 struct CameraQueue {
     frames: VecDeque<SeenFrame>,
-    /// Why there will be no more.
+    /// Why there will be no more frames.
     ended: Option<String>,
-    /// Why there are none at the moment.
+    /// Why there are no frames for now.
     lost: Option<String>,
 }
 
-/// For which session frames meet.
+/// The session that the frames are for.
 #[derive(Debug)]
 pub(super) struct AssemblyPlan {
     pub(super) session: String,
     pub(super) target: CalibrationTarget,
     pub(super) instrument: String,
-    /// What each camera's device states of its sensors, in the instrument's order.
+    /// What each camera's device states about its sensors, in the instrument's order.
     pub(super) factories: Vec<SharedFactory>,
     pub(super) admission: AdmissionOptions,
 }
@@ -120,10 +121,10 @@ impl Assembly {
         }
     }
 
-    /// Takes a frame of the camera at `place`, and passes on what it completes. A frame whose
-    /// source waits for it waits for room.
+    /// Takes a frame of the camera at `place`, and passes on the frame sets that it completes. A
+    /// frame whose source waits for it waits until there is room.
     ///
-    /// Whether it was taken: live frames are not while the session is held.
+    /// Returns whether it was taken: live frames are not taken while the session is held.
     pub(super) fn put(&self, place: usize, frame: SeenFrame) -> bool {
         {
             let mut queues = self.lock();
@@ -149,7 +150,7 @@ impl Assembly {
         self.pass_on();
     }
 
-    /// The camera at `place` gives no frames at the moment.
+    /// The camera at `place` delivers no frames for now.
     pub(super) fn lost(&self, place: usize, reason: &str) {
         if let Some(queue) = self.lock().open_queue(place) {
             queue.lost = Some(reason.to_owned());
@@ -159,7 +160,7 @@ impl Assembly {
         self.send(Message::CameraLost { place, reason: reason.to_owned() });
     }
 
-    /// The camera at `place` gives frames again.
+    /// The camera at `place` delivers frames again.
     pub(super) fn back(&self, place: usize) {
         let mut queues = self.lock();
         if let Some(queue) = queues.open_queue(place) {
@@ -174,28 +175,28 @@ impl Assembly {
         });
     }
 
-    /// So many seconds went by without a frame of the camera at `place`; they are the session's own
-    /// where no camera gives any.
+    /// The camera at `place` has delivered no frame for this many seconds. They count for the
+    /// session if no camera delivers any.
     pub(super) fn waited(&self, place: usize, seconds: f64) {
         let all_lost = self.lock().cameras.iter().all(|queue| queue.lost.is_some());
         if place == 0 && all_lost {
-            // Time that is not counted because so much else happens is no loss.
+            // If the queue is full, this time is not counted, which does no harm.
             let _ = self.messages.try_send(Message::Waited(seconds));
         }
     }
 
-    /// What the session has kept by now.
+    /// What the session has kept so far.
     pub(super) fn set_kept(&self, kept: KeptSoFar) {
         *lock(&self.kept) = Arc::new(kept);
     }
 
-    /// Takes no live frames, and lets replays wait, until it is called with `false`.
+    /// Takes no live frames, and makes replays wait, until it is called with `false`.
     pub(super) fn hold(&self, held: bool) {
         self.lock().held = held;
         self.changed.notify_all();
     }
 
-    /// Takes nothing any more, and lets everyone go who waits.
+    /// Takes no frames any more, and wakes all threads that wait.
     pub(super) fn close(&self) {
         let mut queues = self.lock();
         queues.closed = true;
@@ -218,7 +219,7 @@ impl Assembly {
         unpoisoned(waited).0
     }
 
-    /// Finishes what is complete, in order.
+    /// Finishes the complete frame sets, in order.
     fn pass_on(&self) {
         let mut finishing = lock(&self.finishing);
         loop {
@@ -251,7 +252,7 @@ impl Assembly {
 }
 
 impl Finishing {
-    /// Searches all of a frame set that the session may keep.
+    /// Searches every image of a frame set that the session may keep.
     fn finish(
         &mut self,
         mut frames: Vec<Option<SeenFrame>>,
@@ -288,7 +289,8 @@ impl Queues {
         if self.closed { None } else { self.cameras.get_mut(place) }
     }
 
-    /// The oldest frame of all, and of each other camera the frame that was taken with it.
+    /// The oldest waiting frame, with the frame of each other camera that was taken at the same
+    /// time.
     fn take_frame_set(&mut self) -> Option<Vec<Option<SeenFrame>>> {
         let is_full = self.cameras.iter().any(|queue| queue.frames.len() > LIMIT);
         if !is_full && self.cameras.iter().any(CameraQueue::is_waited_for) {
@@ -306,7 +308,8 @@ impl Queues {
         };
         let may_follow = following_ns.is_none() && self.cameras[oldest].goes_on();
         if !is_full && may_follow && self.cameras.iter().any(between) {
-            // Whether what was taken in between is nearer to the next frame is not known yet.
+            // Other cameras' frames were taken after this one; whether they are nearer to this
+            // camera's next frame is not known until that arrives.
             return None;
         }
         let belongs = |ns: i64| {
@@ -322,7 +325,7 @@ impl Queues {
         Some(self.cameras.iter_mut().map(take).collect())
     }
 
-    /// Why all cameras have ended, once.
+    /// Why all cameras have ended; returned once.
     fn take_end(&mut self) -> Option<String> {
         let has_ended = |queue: &CameraQueue| queue.ended.is_some() && queue.frames.is_empty();
         if self.closed || !self.cameras.iter().all(has_ended) {

@@ -1,4 +1,5 @@
-//! Frames that meet: what is together, who is waited for, and that nothing piles up.
+//! Tests of the assembly: which frames form a frame set, which camera is waited for, and that no
+//! queue grows without limit.
 
 use std::time::Instant;
 
@@ -51,7 +52,7 @@ impl Meeting {
         meeting
     }
 
-    /// The times of the frame sets that came through, in milliseconds.
+    /// The times of the frame sets that were passed on, in milliseconds.
     fn times(&mut self) -> Vec<Vec<Option<i64>>> {
         let mut all = Vec::new();
         while let Ok(message) = self.messages.try_recv() {
@@ -85,13 +86,14 @@ fn one_camera_passes_through() {
 fn the_nearest_in_time_are_one_frame_set() {
     alone(|| {
         let mut meeting = Meeting::of(2, &[(0, 0), (1, 20), (0, 33), (1, 53), (0, 66), (1, 86)]);
-        // 20 is nearer to 33 than to 0; what 66 and 86 belong to is open until the next one comes.
+        // 20 is nearer to 33 than to 0; where 66 and 86 belong is open until the next frame
+        // arrives.
         assert_eq!(
             meeting.times(),
             [vec![Some(0), None], vec![Some(33), Some(20)], vec![Some(66), Some(53)]]
         );
         assert_eq!(meeting.waiting(), [0, 1]);
-        // In whatever order the threads get there.
+        // In whatever order the threads deliver them.
         let mut other = Meeting::of(2, &[(1, 20), (0, 0), (1, 53), (0, 33), (0, 66), (1, 86)]);
         assert_eq!(other.times().len(), 3);
     });
@@ -116,7 +118,7 @@ fn a_stalled_camera_holds_nobody_up_and_nothing_piles_up() {
         }
         assert_eq!(meeting.times().len(), 500 - LIMIT);
         assert_eq!(meeting.counted("false"), 500 - LIMIT as u64);
-        // Known to be lost, it is not waited for at all.
+        // A camera known to be lost is not waited for.
         meeting.assembly.lost(1, "unplugged");
         assert_eq!((meeting.times().len(), meeting.waiting()[0]), (LIMIT, 0));
         meeting.assembly.put(0, seen(33 * 500, false));
@@ -239,7 +241,7 @@ fn closing_lets_a_replay_go_that_waits_for_a_camera() {
     in_any_order(|| {
         let meeting = meeting(2);
         thread::scope(|scope| {
-            // Camera 1 gives nothing: without a time limit, only closing ends this.
+            // Camera 1 delivers nothing: without a time limit, only closing ends the wait.
             let replay = scope.spawn(|| {
                 (0..LIMIT as i64 + 2).for_each(|k| {
                     meeting.assembly.put(0, seen(33 * k, true));

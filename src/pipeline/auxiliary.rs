@@ -1,6 +1,6 @@
-//! What the other sensors of a camera gave together with its kept views: their boards, and depth as
-//! it was decoded when the view was kept. Depth is read from the store only after a restart, or
-//! where there is more of it than may stay in memory.
+//! What the other sensors of a camera delivered with its kept views: their boards, and depth as it
+//! was decoded when the view was kept. Depth is read from the store only after a restart, or where
+//! there is more of it than may stay in memory.
 
 use std::sync::Arc;
 
@@ -14,29 +14,29 @@ use crate::imaging::image_file::frame_from_file;
 use crate::pipeline::seen::SensorObservation;
 use crate::store::{SensorView, Store, StoreError};
 
-/// The most depth of one session that stays in memory, in bytes: 150 views, the most a session
+/// The most depth of one session that stays in memory, in bytes: 150 views, the most that a session
 /// keeps of a camera, of 848 × 480 readings.
 const MOST_DEPTH_BYTES: usize = 128 << 20;
 
-/// What another sensor gave together with a kept view.
+/// What another sensor delivered with a kept view.
 #[derive(Debug, Clone)]
 pub(super) struct AuxiliaryView {
     /// The kept view's number in its session.
     pub(super) number: u32,
     pub(super) sensor: SensorKind,
     pub(super) image_size: ImageSize,
-    /// What the readings of depth mean, where the device states it.
+    /// The encoding of the depth readings, where the device states it.
     pub(super) depth_encoding: Option<DepthEncoding>,
     /// The board in it, where it was found.
     pub(super) detection: Option<Detection>,
-    /// Of depth, unless it is to be read from the store.
+    /// The depth image, unless it has to be read from the store.
     pub(super) depth: Option<Arc<DepthImage>>,
-    /// Where it is in the store.
+    /// Where it is stored.
     frame_set: u32,
     camera: Option<String>,
 }
 
-/// All of a session.
+/// All auxiliary views of a session.
 #[derive(Debug, Default)]
 pub(super) struct AuxiliaryViews {
     views: Vec<AuxiliaryView>,
@@ -44,7 +44,7 @@ pub(super) struct AuxiliaryViews {
 }
 
 impl AuxiliaryViews {
-    /// What the store has of a session, without its depth.
+    /// The stored auxiliary views of a session, without depth.
     pub(super) fn of_stored(stored: &[SensorView]) -> Self {
         let view = |view: &SensorView| {
             let is_numbered = |other: &&SensorView| {
@@ -67,7 +67,8 @@ impl AuxiliaryViews {
         Self { views: others.filter_map(view).collect(), depth_bytes: 0 }
     }
 
-    /// Adds what a sensor gave with the view `number`, which is stored as `frame_set` of `camera`.
+    /// Adds what a sensor delivered with the view `number`, which is stored as `frame_set` of
+    /// `camera`.
     pub(super) fn add(
         &mut self,
         number: u32,
@@ -94,12 +95,13 @@ impl AuxiliaryViews {
         &self.views
     }
 
-    /// How much depth is in memory, in bytes.
+    /// The size of the depth in memory, in bytes.
     pub(super) fn depth_bytes(&self) -> usize {
         self.depth_bytes
     }
 
-    /// Reads what is not in memory from the store. One that cannot be decoded stays without.
+    /// Reads the depth that is not in memory from the store. A view whose depth cannot be decoded
+    /// has none.
     ///
     /// # Errors
     /// [`StoreError`].

@@ -1,5 +1,6 @@
-//! The search for the board in a camera's images: decoded to luma, then searched, or tracked from
-//! the frame before; and what every sensor of a frame set gives that may be kept.
+//! The search for the board in a camera's images: an image is decoded to luma, then searched in
+//! full, or the board is tracked from the previous frame. Also what each sensor of a frame set
+//! gives that may be kept.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -22,10 +23,11 @@ use crate::store::Picture;
 /// How a frame is searched.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum SearchManner {
-    /// By itself: the answer is the image's alone, as exact as it can be.
+    /// In full: the result depends on this image alone, and is as accurate as possible.
     Whole,
-    /// Where the board was before, else by itself: a fraction of the time, and corners that are
-    /// good enough to decide on.
+    /// Where the board was in the previous frame, and in full if it is not there. This takes a
+    /// fraction of the time, and the corners are accurate enough to decide whether the frame is
+    /// kept.
     Tracked,
 }
 
@@ -43,7 +45,7 @@ impl std::fmt::Debug for BoardSearch {
 }
 
 impl BoardSearch {
-    /// The board in the image of a frame set that boards are searched for in.
+    /// The board in a frame set's searched image.
     pub(super) fn search(
         &mut self,
         frame_set: &FrameSet,
@@ -63,9 +65,10 @@ impl BoardSearch {
         }
     }
 
-    /// Searches all of a frame set that may be kept: a board that was tracked is searched for by
-    /// itself, and every other sensor's image is searched, or decoded, too. `depth_encoding` is
-    /// what the device states of depth. A sensor whose image is damaged is left out.
+    /// Searches every image of a frame set that may be kept. If the board was tracked, its image is
+    /// searched again in full; the images of the other sensors are searched or decoded.
+    /// `depth_encoding` is what the device states about depth. A sensor whose image is damaged is
+    /// left out.
     pub(super) fn observe_all(
         &mut self,
         seen: &mut SeenFrame,
@@ -129,7 +132,7 @@ impl BoardSearch {
         manner: SearchManner,
     ) -> Result<TrackedBoard, NoDetection> {
         guarded(|| self.try_search(frame, board, manner)).unwrap_or_else(|detail| {
-            // What it was doing when it broke off is not to be trusted.
+            // The finder's state after a panic cannot be trusted.
             self.finder = None;
             Err(unreadable(detail))
         })
@@ -165,7 +168,7 @@ fn image_of(frame: &Frame) -> Option<Picture> {
     Some(Picture { media_type: media_type.to_owned(), bytes: bytes.to_vec() })
 }
 
-/// A view whose image could not be decoded again is kept for its corners.
+/// The image of a view whose image could not be decoded again: the view is kept for its corners.
 fn no_image() -> Picture {
     Picture { media_type: "image/jpeg".to_owned(), bytes: Vec::new() }
 }

@@ -1,4 +1,4 @@
-//! How a camera does.
+//! The state of a camera.
 
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::factory::FactoryCalibration;
@@ -7,13 +7,13 @@ use crate::imaging::frame::{PixelFormat, SensorKind};
 /// Whether a camera delivers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CameraState {
-    /// Is being opened, or has given no frame yet.
+    /// It is being opened, or has delivered no frame yet.
     Starting,
-    /// Gives frames.
+    /// It delivers frames.
     Streaming,
-    /// Gave frames and stopped; it is tried again.
+    /// It delivered frames and stopped; it is opened again.
     Lost,
-    /// Cannot be opened, or has come to its end; the reason says whether it is tried again.
+    /// It cannot be opened, or has ended; the reason states whether it is tried again.
     Failed,
 }
 
@@ -43,7 +43,7 @@ pub struct SensorStatus {
     pub format: PixelFormat,
 }
 
-/// Which device it is, where the device says.
+/// The identity of the device, as far as the device states it.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct CameraIdentity {
     /// The device's own name.
@@ -55,7 +55,8 @@ pub struct CameraIdentity {
 }
 
 impl CameraIdentity {
-    /// The device in words, without where it is plugged in; `None` where it says nothing.
+    /// The device in words, without its bus; `None` where it states neither model nor serial
+    /// number.
     pub fn device(&self) -> Option<String> {
         match (&self.model, &self.serial) {
             (Some(model), Some(serial)) => Some(format!("{model}, serial {serial}")),
@@ -85,8 +86,8 @@ pub struct CameraStatus {
     pub fps: Option<f64>,
     /// Frame sets received since the daemon started.
     pub frames: u64,
-    /// Frame sets lost: gaps in the device's count, and those that a newer one replaced before they
-    /// were searched.
+    /// Frame sets lost: gaps in the device's count, and frame sets that were replaced by a newer
+    /// one before they were searched.
     pub dropped_frames: u64,
     /// Which device it is.
     pub identity: CameraIdentity,

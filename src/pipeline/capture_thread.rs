@@ -1,12 +1,13 @@
-//! Thread `capture-<camera>`: owns the source, opens it and opens it again, and says how it does.
+//! Thread `capture-<camera>`: owns the source, opens it, reopens it when it is lost, and reports
+//! its state.
 //!
 //! ```text
 //! starting ──frame──▶ streaming ──gone, silent──▶ lost ──frame──▶ streaming
 //!     └──needs a person──▶ failed (tried again, rarely)
 //! ```
 //!
-//! A replay that waits for its frames to be searched begins anew with each session, so that every
-//! session sees all of it; while none collects it is shown at its recorded pace, round and round.
+//! A replay that waits for its frames to be searched starts again with each session, so that every
+//! session gets all of it. While no session collects, it is shown in a loop at its recorded rate.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -26,27 +27,28 @@ use crate::pipeline::message::Message;
 use crate::pipeline::search::CameraSearch;
 use crate::pipeline::silence::Silence;
 
-/// How a camera is watched over.
+/// How a camera is supervised.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Supervision {
-    /// The wait before a lost source is opened again; doubles with each failure. Default: 0.25 s.
+    /// The wait before a lost source is reopened; doubles with each failure. Default: 0.25 s.
     pub first_retry: Duration,
     /// The longest such wait. Default: 5 s.
     pub longest_retry: Duration,
     /// How often the device is asked whether focus, zoom and exposure still have the values of the
-    /// last session; and how often at most a change of the images' size is compared with the
-    /// calibrations. Default: 2 s.
+    /// last session. It is also the shortest time between two comparisons of changed image sizes
+    /// with the calibrations. Default: 2 s.
     pub moved_check: Duration,
     /// The wait before a source that needs a person is tried again. Default: 10 s.
     pub failed_retry: Duration,
-    /// A device that falls silent for so long, and for five of its frames, is lost; one that states
-    /// no rate, for three times as long as between its last frames. Default: 1.5 s.
+    /// A device is lost when it has been silent for this long and for five of its frame intervals.
+    /// If it states no rate, three times the interval between its last frames counts instead.
+    /// Default: 1.5 s.
     pub stall: Duration,
-    /// The same for a device that was opened and has given no frame yet: many take a second or two.
-    /// Default: 4 s.
+    /// The same for a device that was opened and has delivered no frame yet: many take a second or
+    /// two. Default: 4 s.
     pub first_frame: Duration,
-    /// How long a source may take to close before it is said that its driver does not let go of
-    /// it. Default: 3 s; the slowest that answer wait 1 s for a last frame.
+    /// How long a source may take to close before its driver is reported as not releasing it.
+    /// Default: 3 s; the slowest drivers that do return wait 1 s for a last frame.
     pub closing: Duration,
 }
 
@@ -64,25 +66,25 @@ impl Default for Supervision {
     }
 }
 
-/// The longest that a source may keep the thread from checking whether to stop.
+/// The longest time that a source may keep the thread from checking whether to stop.
 const POLL: Duration = Duration::from_millis(200);
-/// How soon a waiting thread sees that a session began.
+/// How soon a waiting thread notices that a session began.
 const GLANCE: Duration = Duration::from_millis(20);
 const LONGEST_PACE: Duration = Duration::from_secs(1);
-/// Of a camera that was lost, and whose driver does not return from closing it.
+/// Reported of a lost camera whose driver does not return from closing it.
 const HELD: &str = "; its driver does not let go of it: unplug it and plug it in again";
 
 /// Why a source is no longer read.
 enum End {
-    /// The daemon stops.
+    /// The daemon is stopping.
     Stopped,
-    /// To be opened again at once.
+    /// The source is to be reopened at once.
     Again,
-    /// Gave its last frame, for this session; `cut` says what ended it early.
+    /// It delivered its last frame, for this session; `cut` is the reason if it ended early.
     Ended { search: Option<Arc<CameraSearch>>, waits: bool, cut: Option<String> },
-    /// Gone; may come back.
+    /// It is gone, but may come back.
     Lost(String),
-    /// Needs a person.
+    /// It needs a person.
     Failed(String),
 }
 
@@ -90,16 +92,16 @@ pub(super) struct Capture {
     pub(super) camera: Arc<LiveCamera>,
     pub(super) open: Box<dyn SourceOpener>,
     pub(super) supervision: Supervision,
-    /// A silent source is a lost one.
+    /// Whether a silent source counts as lost.
     pub(super) may_stall: bool,
     pub(super) silence: Silence,
     pub(super) rate: FrameRate,
     pub(super) retry: Duration,
-    /// Whether the size of its images changed since they were compared.
+    /// Whether the size of its images changed since the last comparison.
     pub(super) resized: bool,
-    /// When they were compared last because of that.
+    /// The time of the last comparison for this reason.
     pub(super) compared: Option<Instant>,
-    /// What a driver has not let go of.
+    /// A source that its driver has not released.
     pub(super) held: Option<Closing>,
 }
 
@@ -130,7 +132,7 @@ impl Capture {
         }
     }
 
-    /// Opens the source, which is `opened` from then on, and passes its frames on.
+    /// Opens the source, stores it in `opened`, and passes its frames on.
     fn open_and_deliver(&mut self, opened: &mut Option<Box<dyn FrameSource>>) -> End {
         let opened_for = self.camera.search.get();
         match self.open.open() {
@@ -176,7 +178,7 @@ impl Capture {
     ) -> End {
         let opened = Instant::now();
         let mut held_for: Option<Arc<CameraSearch>> = None;
-        // When it was last known to stand as a session held it.
+        // When the device was last known to have the settings that a session fixed.
         let mut held: Option<Instant> = None;
         let mut pace = IdlePace::default();
         let mut counted = Losses::default();
@@ -239,7 +241,7 @@ impl Capture {
                 Err(CaptureError::Ended) => {
                     return End::Ended { search, waits: description.waits, cut };
                 }
-                // A recording that is cut short has ended there.
+                // A recording that was cut short ends at its last readable frame.
                 Err(CaptureError::Failed { reason })
                     if delivered && !self.may_stall && cut.is_none() =>
                 {
@@ -260,7 +262,7 @@ impl Capture {
         }
     }
 
-    /// Shows what has moved since the last session: the calibration may no longer hold.
+    /// Reports what has changed since the last session: the calibration may no longer be valid.
     fn report_moved(&self, source: &dyn FrameSource) {
         let moved = source.moved_since_calibrating();
         let before = std::mem::replace(&mut self.camera.images().moved, moved.clone());
@@ -279,7 +281,8 @@ impl Capture {
         *counted = losses;
     }
 
-    /// Waits until a frame that nobody waits for is due; whether a session began meanwhile.
+    /// Waits until a frame that no session waits for is due. Returns whether a session began
+    /// meanwhile.
     fn keep_pace(&self, pace: &mut IdlePace, frame_set: &FrameSet) -> bool {
         let mut left = pace.until_due(frame_set);
         while !left.is_zero() {
@@ -293,7 +296,7 @@ impl Capture {
         false
     }
 
-    /// Hands a frame set to the detector; whether anyone still takes it.
+    /// Passes a frame set to the detector. Returns whether the detector still takes frames.
     fn pass_on(
         &mut self,
         frame_set: FrameSet,
@@ -323,7 +326,7 @@ impl Capture {
         self.camera.status.send_modify(|status| {
             status.frames += 1;
             status.fps = fps;
-            // A file that could not be read has no size; it does not make the sensor another one.
+            // A file that could not be read has no size; this does not make it another sensor.
             let known = |size: ImageSize| size.width > 0 && size.height > 0;
             if frame_set.frames.iter().all(|frame| known(frame.size)) {
                 let sensors = frame_set.frames.iter();
@@ -340,7 +343,7 @@ impl Capture {
             self.compare_sizes(&frame_set.frames, arrived);
             return;
         }
-        // Another device may be there now.
+        // It may be another device now.
         let mut images = self.camera.images();
         *images = ImagesNow::default();
         images.take_sizes(&frame_set.frames);
@@ -352,8 +355,8 @@ impl Capture {
         }
     }
 
-    /// A stream's images may change their size as it goes on, a folder's with each image: the
-    /// calibrations are compared again, but not with each.
+    /// The images of a stream may change their size at any time, those of a folder with every
+    /// image. The calibrations are compared again, but not with every frame.
     fn compare_sizes(&mut self, frames: &[Frame], arrived: Instant) {
         self.resized |= self.camera.images().take_sizes(frames);
         let wait = self.supervision.moved_check;
@@ -364,8 +367,8 @@ impl Capture {
         }
     }
 
-    /// Says what is wrong, closes the source, and waits before the next try. The session's time
-    /// goes on meanwhile.
+    /// Reports what is wrong, closes the source, and waits before the next attempt. The time of the
+    /// session goes on meanwhile.
     fn wait_out(
         &mut self,
         source: Option<Box<dyn FrameSource>>,
@@ -375,7 +378,7 @@ impl Capture {
     ) {
         let began = Instant::now();
         let was_held = self.is_held();
-        // Said before the source is closed, which a driver may keep from ending.
+        // Reported before the source is closed, because the driver may not return from that.
         self.say(state, reason, was_held);
         self.close(source);
         if self.is_held() && !was_held {
@@ -394,15 +397,15 @@ impl Capture {
     fn say(&self, state: CameraState, reason: &str, is_held: bool) {
         let reason = &format!("{reason}{}", if is_held { HELD } else { "" });
         self.camera.status.send_modify(|status| status.fps = None);
-        // Who hears that the camera is lost finds its session waiting.
+        // A client that is notified of the lost camera already finds its session waiting.
         if let Some(search) = self.camera.search.get() {
             search.assembly.lost(search.place, reason);
         }
         self.camera.set_state(state, Some(reason));
     }
 
-    /// After the last frame: waits for another session to begin; a replay that waits is also shown
-    /// again when the session is over.
+    /// After the last frame: waits for another session to begin. A replay that waits for its frames
+    /// is also shown again when the session is over.
     fn rest(&self, ended_for: Option<&Arc<CameraSearch>>, waits: bool, cut: Option<String>) {
         let cut = cut.map(|cut| format!(": {cut}")).unwrap_or_default();
         let reason = format!("the recording has ended{cut}");

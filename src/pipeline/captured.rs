@@ -9,11 +9,11 @@ use crate::pipeline::search::CameraSearch;
 /// What the capture thread passes on.
 #[derive(Debug)]
 pub(super) enum Captured {
-    /// A frame set, and what it is to be searched for.
+    /// A frame set, and the search that it is for.
     Frame(CapturedFrame),
     /// There are no more.
     End {
-        /// What the frames were searched for.
+        /// The search that the frames were for.
         search: Option<Arc<CameraSearch>>,
         /// Why the source ended, in words.
         reason: String,
@@ -25,7 +25,7 @@ pub(super) enum Captured {
 pub(super) struct CapturedFrame {
     pub(super) frame_set: Arc<FrameSet>,
     pub(super) search: Option<Arc<CameraSearch>>,
-    /// When it came from its source.
+    /// When it was received from its source.
     pub(super) arrived: Instant,
     /// Whether its source waits until it has been searched.
     pub(super) waits: bool,

@@ -1,5 +1,5 @@
-//! Closes a source on a thread of its own: a driver that stopped answering may never return from
-//! it, and the camera may be plugged in again meanwhile.
+//! Closes a source on a thread of its own: if the driver no longer responds, closing may never
+//! return, while the camera may be plugged in again.
 
 use std::convert::Infallible;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
@@ -8,15 +8,16 @@ use std::time::Duration;
 
 use crate::capture::FrameSource;
 
-/// A source that is being closed: a channel that ends with it.
+/// A source that is being closed: the channel is disconnected once it is closed.
 #[derive(Debug)]
 pub(super) struct Closing(Receiver<Infallible>);
 
 impl Closing {
-    /// Begins to close `source`, of a camera of this name.
+    /// Starts to close `source`, which is of the camera with this name.
     pub(super) fn begin(source: Box<dyn FrameSource>, camera: &str) -> Self {
         let (running, ended): (SyncSender<Infallible>, _) = sync_channel(0);
-        // Where no thread can be had, the source is closed here, with what the thread would own.
+        // If no thread can be started, the source is closed here, because the closure that owns it
+        // is dropped.
         let _ = thread::Builder::new().name(format!("close-{camera}")).spawn(move || {
             drop(source);
             drop(running);
@@ -24,7 +25,7 @@ impl Closing {
         Self(ended)
     }
 
-    /// Whether it is closed, at the latest after `wait`.
+    /// Waits until the source is closed, at most for `wait`. Returns whether it is.
     pub(super) fn is_over(&self, wait: Duration) -> bool {
         self.0.recv_timeout(wait) != Err(RecvTimeoutError::Timeout)
     }

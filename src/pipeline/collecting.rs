@@ -27,7 +27,7 @@ use crate::pipeline::unstored::Unstored;
 use crate::store::SensorView;
 
 impl SessionThread {
-    /// Goes on with a session that an earlier run of the daemon left.
+    /// Resumes a session that an earlier run of the daemon left unfinished.
     pub(super) fn resume(&mut self, mut record: SessionRecord) {
         let name = self.instrument.name.clone();
         if let Err(reason) = self.take_sources(&mut record) {
@@ -58,13 +58,13 @@ impl SessionThread {
         self.show();
     }
 
-    /// Takes what the cameras' images come from.
+    /// Records the sources of the cameras' images.
     fn take_sources(&self, record: &mut SessionRecord) -> Result<(), String> {
         let mut cameras = self.instrument.cameras.iter();
         cameras.try_for_each(|camera| record.take_source(&camera.name, &camera.image_source))
     }
 
-    /// Takes which devices give the frames.
+    /// Records which devices deliver the frames.
     pub(super) fn take_devices(&mut self) {
         for camera in &Arc::clone(&self.instrument).cameras {
             if let Some(device) = camera.streaming_device() {
@@ -75,7 +75,7 @@ impl SessionThread {
         }
     }
 
-    /// The session of `record` with its stored views, and what to do first.
+    /// The session of `record` with its stored views, and the first actions to perform.
     fn resumed(&self, record: SessionRecord, stored: &[SensorView]) -> (Session, Vec<Action>) {
         if record.request.target.is_scene() {
             let key_frames = self.kept_key_frames(&record.id, stored);
@@ -120,7 +120,8 @@ impl SessionThread {
         })
     }
 
-    /// The stored key frames with the features of their images, in the order they were kept.
+    /// The stored key frames with the features of their images, in the order in which they were
+    /// kept.
     fn kept_key_frames(
         &self,
         session: &str,
@@ -142,7 +143,7 @@ impl SessionThread {
         key_frames
     }
 
-    /// The stored views as the session goes on with them, in the order they were kept.
+    /// The stored views as the session continues with them, in the order in which they were kept.
     fn kept_views(&self, stored: &[SensorView]) -> Vec<(KeptView, View)> {
         let members = self.instrument.member_names();
         let place = |view: &SensorView| match &view.sensor.camera {
@@ -271,7 +272,7 @@ impl SessionThread {
         Ok(record)
     }
 
-    /// Has no session any more, if it is this one and over.
+    /// Drops the session if it is the session `id` and is over.
     pub(super) fn forget(&mut self, id: &str) {
         let is_over =
             |session: &Session| session.record().id == id && session.record().state.is_over();

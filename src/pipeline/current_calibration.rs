@@ -1,5 +1,5 @@
-//! A current calibration, a camera's own or that of a rig it is in, held against the images that
-//! the camera gives now.
+//! A current calibration, of a camera itself or of a rig that it is in, compared with the images
+//! that the camera delivers now.
 
 use std::collections::BTreeMap;
 
@@ -11,18 +11,18 @@ use crate::imaging::frame::{Frame, SensorKind};
 use crate::store::Store;
 use crate::store::error::StoreError;
 
-/// What is known of the images that come now.
+/// What is known about the present images.
 #[derive(Debug, Default)]
 pub(super) struct ImagesNow {
-    /// What has moved since a session held it.
+    /// Which setting has changed since a session fixed it.
     pub(super) moved: Option<String>,
     /// The size of each sensor's images; a sensor may be missing from a frame set.
     pub(super) sizes: BTreeMap<SensorKind, ImageSize>,
 }
 
 impl ImagesNow {
-    /// Takes in a frame set's sizes; whether a sensor has another one now. A frame that could not
-    /// be read has none.
+    /// Records the sizes in a frame set. Returns whether the size of a sensor changed. A frame that
+    /// could not be read has none.
     pub(super) fn take_sizes(&mut self, frames: &[Frame]) -> bool {
         let mut resized = false;
         for Frame { sensor, size, .. } in frames {
@@ -34,22 +34,22 @@ impl ImagesNow {
     }
 }
 
-/// A current calibration, as far as it concerns one camera.
+/// A current calibration, as far as one camera needs it.
 #[derive(Debug)]
 pub(super) struct CurrentCalibration {
-    /// Of the camera or of a rig: its name.
+    /// The name of the camera or rig that it is of.
     instrument: String,
-    /// What to call it.
+    /// How it is called in messages.
     name: String,
     id: String,
     rms_px: f64,
     provenance: Provenance,
-    /// What was said last of the images that come now.
+    /// The result of the last comparison with the images.
     said: Option<String>,
 }
 
 impl CurrentCalibration {
-    /// That of `camera`, or of the rig `instrument`, with this `id`; `None` where it cannot be
+    /// The calibration `id` of `camera`, or of the rig `instrument`; `None` where it cannot be
     /// read.
     pub(super) fn read(store: &Store, id: &str, instrument: &str, camera: &str) -> Option<Self> {
         let read = || -> Result<Option<Self>, StoreError> {
@@ -83,12 +83,13 @@ impl CurrentCalibration {
         &self.instrument
     }
 
-    /// Why it may not hold for the images that were compared last.
+    /// Why it may not be valid for the images that were compared last.
     pub(super) fn said(&self) -> Option<&str> {
         self.said.as_deref()
     }
 
-    /// Why it may not hold for images of `now`; and the same as drift where it was not said yet.
+    /// Why it may not be valid for images of `now`; and the same as drift if it was not reported
+    /// yet.
     pub(super) fn change(&mut self, now: &Provenance) -> (Option<String>, Option<Drift>) {
         let change = self.provenance.change(now, &self.name);
         let is_new = change != self.said;

@@ -1,5 +1,4 @@
-//! What is current of a camera's calibrations, and what is said of it, on sources that do what the
-//! test says.
+//! Tests of which calibration is current and what is reported about it, with scripted sources.
 
 use std::sync::mpsc::Sender;
 use std::thread;
@@ -79,7 +78,8 @@ async fn a_focus_that_moves_after_a_session_is_a_drift() {
     feed.send(ScriptStep::Frame).unwrap();
     until_state(&mut events, "front", CameraState::Streaming).await;
     let id = fleet.start_session("front", request()).await.unwrap().id;
-    // The first may have been on its way when the session began; the second is the session's.
+    // The first frame may have been on its way when the session began; the second one belongs to
+    // the session.
     (0..2).for_each(|_| feed.send(ScriptStep::Frame).unwrap());
     until(&mut events, |event| (event.kind.name() == "detection").then_some(())).await;
     fleet.abort_session(&id).await.unwrap();
@@ -93,12 +93,12 @@ async fn a_focus_that_moves_after_a_session_is_a_drift() {
     assert_eq!((drift.calibration.as_str(), drift.reason.as_str()), ("c1", "focus is 30, was 10"));
     assert_eq!(fleet.camera("front").unwrap().reason.as_deref(), Some("focus is 30, was 10"));
 
-    // Another comparison keeps it, and the same is not reported again.
+    // Another comparison keeps the reason, and does not report it again.
     fleet.approve("c1").unwrap();
     assert_eq!(fleet.camera("front").unwrap().reason.as_deref(), Some("focus is 30, was 10"));
     assert_eq!(drifts_in(&feed, &mut events, &[64; 3]).await, [] as [String; 0]);
     let id = fleet.start_session("front", request()).await.unwrap().id;
-    // What was on its way to the session's thread came before this.
+    // Whatever was on its way to the session's thread was received before this.
     until(&mut events, |event| match &event.kind {
         EventKind::Drift(drift) => panic!("reported twice: {}", drift.reason),
         EventKind::Session(record) => (record.id == id).then_some(()),
@@ -107,8 +107,8 @@ async fn a_focus_that_moves_after_a_session_is_a_drift() {
     .await;
 }
 
-/// What is reported of the current calibration while frames of these widths come, each when the
-/// one before has been passed on.
+/// The drift reported while frames of these widths arrive; each is sent when the one before has
+/// been passed on.
 async fn drifts_in(
     feed: &Sender<ScriptStep>,
     events: &mut EventStream,
@@ -139,7 +139,7 @@ async fn another_size_in_the_middle_of_a_stream_is_a_drift_until_it_is_back() {
     let fleet = fleet_of(vec![plan], &folder, PATIENCE);
     let mut events = fleet.events(Some(0));
     assert_eq!(drifts_in(&feed, &mut events, &[64, 64]).await, [] as [String; 0]);
-    // One that could not be read has no size.
+    // A frame that could not be read has no size.
     assert_eq!(drifts_in(&feed, &mut events, &[0, 64]).await, [] as [String; 0]);
     let drifts = drifts_in(&feed, &mut events, &[80, 80, 0, 80]).await;
     let said = "color images are 80x48 now, the calibration is for 64x48: ";
@@ -182,8 +182,8 @@ async fn a_lost_camera_stays_lost_when_another_calibration_is_current() {
     assert!(status.reason.unwrap().starts_with("camera 7 was lost: "));
 }
 
-/// What is said of the current calibration, and the camera's reason, when a device with this serial
-/// number gives frames of 64x48.
+/// The report about the current calibration, and the camera's reason, when a device with this
+/// serial number delivers frames of 64x48.
 async fn said_of_calibration(width: u32, serial: &str) -> String {
     let folder = tempfile::tempdir().unwrap();
     calibrated(&folder, "front", width);
@@ -200,7 +200,7 @@ async fn said_of_calibration(width: u32, serial: &str) -> String {
     })
     .await;
     assert_eq!((drift.calibration.as_str(), &drift.reason), ("c1", &reason));
-    // The same device again is no news, and one that is right is said to be.
+    // The same device again is not reported again, but a device that matches the calibration is.
     feed.send(ScriptStep::Fail(lost("unplugged"))).unwrap();
     until_state(&mut events, "front", CameraState::Lost).await;
     let feed = script.plug_in_device(Some(serial));
@@ -270,7 +270,7 @@ async fn a_rig_s_calibration_of_another_camera_is_said_to_be() {
     assert_eq!(fleet.rig("head").unwrap().reason, None);
 }
 
-/// Two that are approved at the same time: the one that is stored last is the one that is shown.
+/// Two calibrations that are approved at the same time: the one stored last is the one shown.
 #[test]
 fn approvals_at_once_leave_what_is_shown_as_it_is_stored() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,5 +1,5 @@
 //! Thread `detect-<camera>`: searches for the board while a session collects, shows each frame with
-//! what was seen in it, and passes it to the session by way of the instrument's assembly.
+//! its detection, and passes it to the session through the instrument's assembly.
 //!
 //! Only luma is decoded, and only while a session collects.
 
@@ -75,9 +75,9 @@ impl Detect {
         }));
     }
 
-    /// A live frame is tracked from the one before. A replay that waits for its frames has each
-    /// searched by itself, so that it gives the very bits that the same images give anywhere
-    /// else.
+    /// In a live frame, the board is tracked from the previous one. In a replay that waits for its
+    /// frames, each is searched in full, so that the result is bit for bit the same as for these
+    /// images anywhere else.
     fn detect(&mut self, captured: &CapturedFrame, search: &CameraSearch) -> FrameDetection {
         let manner = if captured.waits { SearchManner::Whole } else { SearchManner::Tracked };
         let detection = match &search.assembly.target {

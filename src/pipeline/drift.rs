@@ -1,5 +1,5 @@
-//! Reports that the camera's current calibration may not hold any more: the device was moved, or
-//! the views that a session keeps do not agree with it.
+//! Reports that the camera's current calibration may no longer be valid: the device was moved, or
+//! the views that a session keeps disagree with it.
 
 use crate::calibration::drift::{Drift, DriftWatch};
 use crate::calibration::result::ImageCalibration;
@@ -7,14 +7,14 @@ use crate::calibration::session::KeptView;
 use crate::pipeline::session_thread::SessionThread;
 
 impl SessionThread {
-    /// What to hold the views of a session against that begins now; `None` before there is a
-    /// calibration, and for a rig.
+    /// The watch that compares the views of a new session with the current calibration; `None`
+    /// where there is no calibration, and for a rig.
     pub(super) fn drift_watch(&self) -> Option<DriftWatch> {
         let (id, sensor) = self.current_calibration()?;
         Some(DriftWatch::new(&id, &sensor))
     }
 
-    /// Holds a kept view against the current calibration.
+    /// Compares a kept view with the current calibration.
     pub(super) fn check_drift(&mut self, kept: &KeptView) {
         let (Some(watch), Some(session)) = (&mut self.drift, &self.session) else { return };
         let Some(view) = session.view(kept) else { return };
@@ -25,7 +25,7 @@ impl SessionThread {
         }
     }
 
-    /// The device reports that what a session held still is no longer as it was.
+    /// The device reports that a setting which the last session fixed has changed.
     pub(super) fn report_moved(&self, what: String) {
         if let Some((calibration, sensor)) = self.current_calibration() {
             self.publish_drift(&Drift {
@@ -37,7 +37,7 @@ impl SessionThread {
         }
     }
 
-    /// Of the camera that the instrument is.
+    /// Publishes drift of the camera that this instrument is.
     fn publish_drift(&self, drift: &Drift) {
         self.instrument
             .cameras

@@ -1,5 +1,5 @@
-//! What happens, as it happens: numbered events that any number of listeners follow, from any point
-//! still remembered.
+//! Numbered events that any number of listeners follow as they happen, from any event on that is
+//! still stored in memory.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -19,7 +19,7 @@ use crate::pipeline::seen::SeenFrame;
 /// Something that happened to a camera.
 #[derive(Debug, Clone)]
 pub struct Event {
-    /// Grows with every event, over restarts too.
+    /// Grows with every event, also across restarts.
     pub id: u64,
     /// The camera's name.
     pub camera: String,
@@ -34,20 +34,20 @@ pub enum EventKind {
     Frame(FrameEvent),
     /// A frame was searched for the board.
     Detection(DetectionEvent),
-    /// A session began, kept a view, changed its state or its advice.
+    /// A session began, kept a view, or changed its state or its advice.
     Session(Box<SessionRecord>),
     /// A calibration was made or became current.
     Calibration(CalibrationEvent),
     /// A camera changed its state.
     Camera(Box<CameraStatus>),
-    /// The current calibration may not hold any more: the lens was moved, or explains what is seen
-    /// worse than it should.
+    /// The current calibration may no longer be valid: the lens was moved, or new views have larger
+    /// residuals than expected.
     Drift(Drift),
 }
 
 impl EventKind {
-    /// A session as it stands, but for the maps of its estimates: an event does not say them, and
-    /// two thousand that are remembered would hold 40 MB of them.
+    /// A session in its present state, without the maps of its estimates: an event does not contain
+    /// them, and in the two thousand events in memory they would take 40 MB.
     pub(super) fn session(record: &SessionRecord) -> Self {
         let mut record = record.clone();
         let of_members = record.members.iter_mut().map(|member| &mut member.estimate);
@@ -69,7 +69,7 @@ impl EventKind {
         }
     }
 
-    /// Whether it comes with every frame, and so may be forgotten soon.
+    /// Whether it comes with every frame, and is therefore forgotten sooner.
     fn is_frequent(&self) -> bool {
         matches!(self, Self::Frame(_) | Self::Detection(_))
     }
@@ -101,7 +101,7 @@ pub struct DetectionEvent {
     pub corners_px: Vec<Pixel>,
     /// Which of the board's corners they are.
     pub indices: Vec<GridIndex>,
-    /// Their numbers on a board with markers; `None` of another, or if not found.
+    /// The corners' numbers on a board with markers; `None` for another board, or if not found.
     pub ids: Option<Vec<u32>>,
     /// The number of the view it became; `None` if it was not kept.
     pub kept_view: Option<u32>,
@@ -115,7 +115,7 @@ pub struct DetectionEvent {
 }
 
 impl DetectionEvent {
-    /// What a session made of a frame that was searched.
+    /// The session's decision on a frame that was searched.
     pub(super) fn of(
         seen: &SeenFrame,
         session: &SessionRecord,
@@ -150,7 +150,7 @@ pub struct CalibrationEvent {
     pub session: Option<String>,
     /// Whether it is the camera's current one now.
     pub current: bool,
-    /// How far to trust it.
+    /// How far it can be trusted.
     pub grade: Grade,
     /// Its reprojection error, in pixels.
     pub rms_px: f64,
@@ -159,7 +159,7 @@ pub struct CalibrationEvent {
 }
 
 impl CalibrationEvent {
-    /// What an event says of `calibration`; of a rig, its least certain camera's figures. `None`
+    /// The event for `calibration`; for a rig, with the figures of its least certain camera. `None`
     /// if it has no image sensor.
     pub(super) fn of(calibration: &Calibration, current: bool) -> Option<Self> {
         let all = calibration.image_sensors().map(|(_, sensor)| sensor);
@@ -176,13 +176,13 @@ impl CalibrationEvent {
     }
 }
 
-/// Events that come with every frame, as many as are remembered.
+/// How many of the events that come with every frame are kept in memory.
 const FREQUENT_KEPT: usize = 512;
-/// All other events, as many as are remembered.
+/// How many of all other events are kept in memory.
 const LASTING_KEPT: usize = 2048;
 
-/// Numbers events, remembers the last of them, wakes who follows them. A listener that falls behind
-/// what is remembered misses events and holds nobody up.
+/// Numbers events, keeps the last of them, and wakes the listeners. A listener that falls behind
+/// what is kept misses events, and blocks nobody.
 #[derive(Debug)]
 pub struct EventLog {
     rings: Mutex<Rings>,
@@ -197,8 +197,8 @@ struct Rings {
 }
 
 impl EventLog {
-    /// An empty log whose first event is numbered `first_id` + 1. Given a clock's microseconds, ids
-    /// grow over restarts.
+    /// An empty log whose first event has the number `first_id` + 1. With a clock's microseconds,
+    /// ids grow across restarts.
     pub fn new(first_id: u64) -> Self {
         let rings =
             Rings { last_id: first_id, frequent: VecDeque::new(), lasting: VecDeque::new() };
@@ -224,8 +224,8 @@ impl EventLog {
         self.newest.send_replace(id);
     }
 
-    /// Follows the events after `last_seen`; from now on, when `None`. An id from the future (of a
-    /// clock that was set back) counts as now.
+    /// Follows the events after `last_seen`, or from now on for `None`. An id from the future,
+    /// after a clock was set back, counts as now.
     pub fn follow(self: &Arc<Self>, last_seen: Option<u64>) -> EventStream {
         let newest = self.lock().last_id;
         EventStream {
@@ -235,7 +235,7 @@ impl EventLog {
         }
     }
 
-    /// The first remembered event after `id`.
+    /// The first event after `id` that is still in memory.
     fn first_after(&self, id: u64) -> Option<Arc<Event>> {
         let rings = self.lock();
         let first = |ring: &VecDeque<Arc<Event>>| {
@@ -252,7 +252,7 @@ impl EventLog {
     }
 }
 
-/// One listener's place in the log.
+/// One listener's position in the log.
 #[derive(Debug)]
 pub struct EventStream {
     log: Arc<EventLog>,
@@ -261,7 +261,7 @@ pub struct EventStream {
 }
 
 impl EventStream {
-    /// The next event; waits for it. Dropping the future loses nothing.
+    /// Waits for the next event. Dropping the future loses no event.
     pub async fn next(&mut self) -> Arc<Event> {
         loop {
             if let Some(event) = self.next_remembered() {
@@ -274,7 +274,7 @@ impl EventStream {
         }
     }
 
-    /// The next event, if it has happened already.
+    /// The next event, if it has already happened.
     pub fn next_remembered(&mut self) -> Option<Arc<Event>> {
         self.newest.mark_unchanged();
         let event = self.log.first_after(self.last_id)?;

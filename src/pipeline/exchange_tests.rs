@@ -1,4 +1,4 @@
-//! Sessions of cameras and rigs that are exchanged while others run.
+//! Tests of sessions on cameras and rigs that are exchanged while others run.
 
 use std::sync::Arc;
 use std::thread;
@@ -14,7 +14,7 @@ use crate::pipeline::session_request::EndError;
 use crate::simulation::WorldOptions;
 use crate::store::Store;
 
-/// Camera `name` of a simulated rig, of a lens that is called `lens`.
+/// Camera `name` of a simulated rig; `lens` names its lens.
 fn seated(name: &str, seat: u32, lens: &str) -> CameraPlan {
     let open = move || {
         let options = WorldOptions::on_rig(3, ImageSize::new(320, 240), seat);
@@ -39,7 +39,7 @@ fn head() -> RigPlan {
     RigPlan { name: "head".to_owned(), cameras: vec!["left".to_owned(), "right".to_owned()] }
 }
 
-/// What `record` says it kept is stored, and it says why it was given up.
+/// Asserts that the views which `record` kept are stored, and that it states why it was aborted.
 fn assert_given_up(store: &Store, record: &SessionRecord, reason: &str) {
     assert_eq!(record.state, SessionState::Aborted);
     assert_eq!(record.reason.as_deref(), Some(reason));
@@ -138,8 +138,8 @@ async fn a_rig_does_not_go_on_with_another_lens_in_one_of_its_cameras() {
     assert_eq!(next.sources.values().collect::<Vec<_>>(), ["a", "c"]);
 }
 
-/// A rig that is exchanged is not known for a moment, while its old thread still stores what its
-/// session counted: nobody may give the session up behind its back then.
+/// A rig that is being exchanged is not listed for a moment, while its old thread still stores the
+/// session's counts: the session must not be aborted by others then.
 #[tokio::test]
 async fn a_session_is_not_given_up_while_its_rig_is_exchanged() {
     let folder = tempfile::tempdir().unwrap();
@@ -148,7 +148,7 @@ async fn a_session_is_not_given_up_while_its_rig_is_exchanged() {
     let fleet = Arc::new(fleet_of(plans, &folder, PATIENCE));
     fleet.exchange(Exchange { rigs: vec![head()], ..Exchange::default() }).unwrap();
     let id = fleet.start_rig_session("head", request()).await.unwrap().id;
-    // Its thread cannot end before this is let go.
+    // The thread cannot end before this lock is released.
     let left = fleet.link("left").unwrap();
     let guidance = left.guidance.lock().unwrap();
     let exchanging = Arc::clone(&fleet);
@@ -172,7 +172,7 @@ async fn a_session_is_not_given_up_while_its_rig_is_exchanged() {
     drop(scripts);
 }
 
-/// An unfinished session that is older than the one its camera goes on with is nobody's.
+/// An unfinished session that is older than the one its camera resumed belongs to no camera.
 #[tokio::test]
 async fn an_older_unfinished_session_can_be_given_up() {
     let folder = tempfile::tempdir().unwrap();

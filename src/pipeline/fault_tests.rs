@@ -1,5 +1,5 @@
-//! A fault of the program on each of an instrument's threads: it is said, what it struck is given
-//! up, and the camera goes on.
+//! Tests of a panic on each of an instrument's threads: it is reported, the work it hit is aborted,
+//! and the camera goes on.
 
 use crate::calibration::session_record::{SessionRecord, SessionState};
 use crate::pipeline::camera_status::CameraState;
@@ -8,13 +8,13 @@ use crate::pipeline::fleet::Fleet;
 use crate::pipeline::guarded::faults::InducedFault;
 use crate::pipeline::scripted::*;
 
-/// The reason why `record` failed or its camera was lost is a fault on `thread`.
+/// Asserts that the reason why `record` failed or its camera was lost is a panic on `thread`.
 fn assert_said(reason: Option<&str>, thread: &str) {
     let said = format!("a fault in plumb itself (a test's fault on {thread}); please report it");
     assert_eq!(reason, Some(said.as_str()));
 }
 
-/// Whatever was struck, a session of camera `name` collects views and is solved.
+/// Asserts that after the panic a session of camera `name` still collects views and is solved.
 async fn assert_goes_on(fleet: &Fleet, name: &str) {
     let mut events = fleet.events(None);
     let id = fleet.start_session(name, request()).await.unwrap().id;
@@ -32,7 +32,7 @@ async fn a_fault_in_capture_is_a_loss() {
     let mut events = fleet.events(Some(0));
     until_state(&mut events, "torn", CameraState::Streaming).await;
     let fault = InducedFault::on("capture-torn");
-    // A source that is open is guarded as a whole: it is struck when it is opened again.
+    // An open source is guarded as a whole: it panics when it is opened again.
     let id = fleet.start_session("torn", request()).await.unwrap().id;
     let lost = until_state(&mut events, "torn", CameraState::Lost).await;
     assert_said(lost.reason.as_deref(), "capture-torn");
@@ -47,7 +47,7 @@ async fn a_fault_in_detection_costs_the_frame() {
     let folder = tempfile::tempdir().unwrap();
     let fault = InducedFault::on("detect-blind");
     let fleet = fleet_of(vec![walking("blind")], &folder, PATIENCE);
-    // Nothing is announced of a frame that is dropped.
+    // A frame that is dropped is not announced.
     let dropped = async {
         while fleet.camera("blind").unwrap().dropped_frames < 3 {
             tokio::task::yield_now().await;
@@ -67,7 +67,7 @@ async fn a_fault_in_a_solve_fails_its_session() {
     let mut events = fleet.events(Some(0));
     let fault = InducedFault::on("solve-dull");
     let id = fleet.start_session("dull", request()).await.unwrap().id;
-    // Estimates are struck too: the session goes on without.
+    // Estimates panic too: the session continues without them.
     let kept = until_session(&mut events, |record| record.views_kept >= 4).await;
     assert_eq!(kept.estimate, None);
     fleet.stop_session(&id).await.unwrap();

@@ -1,5 +1,5 @@
-//! All cameras and rigs of the daemon as one live object: the only thing that the layers above talk
-//! to. What concerns sessions is in `fleet_sessions`, what exchanges cameras in `fleet_exchange`.
+//! All cameras and rigs of the daemon as one live object, the only one that the layers above use.
+//! Sessions are in `fleet_sessions`, the exchange of cameras in `fleet_exchange`.
 
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, RwLock, RwLockReadGuard};
@@ -35,20 +35,20 @@ use crate::pipeline::store_health::StoreHealth;
 use crate::pipeline::unknown::{UnknownCamera, UnknownRig};
 use crate::store::Store;
 
-/// All cameras and rigs, live. Reading never waits on a camera or a solve.
+/// All cameras and rigs, live. Reading never waits for a camera or a solve.
 #[derive(Debug)]
 pub struct Fleet {
     pub(super) cameras: RwLock<Vec<RunningCamera>>,
     pub(super) rigs: RwLock<Vec<RunningInstrument>>,
-    /// Held while cameras and rigs are exchanged: those are unknown then, and their sessions are
-    /// theirs still.
+    /// Held while cameras and rigs are exchanged: meanwhile they are not listed, but their threads
+    /// still own their sessions.
     pub(super) exchange: Mutex<()>,
     pub(super) shared: SharedParts,
     pub(super) options: FleetOptions,
 }
 
 impl Fleet {
-    /// Sets every camera going, and goes on with the sessions that an earlier run left unfinished.
+    /// Starts every camera, and resumes the sessions that an earlier run left unfinished.
     ///
     /// # Errors
     /// [`FleetError`].
@@ -60,8 +60,8 @@ impl Fleet {
         let metrics =
             Metrics::new().map_err(|error| FleetError::Metrics { detail: error.to_string() })?;
         let metrics = Arc::new(metrics);
-        // Microseconds: more than events ever come in, so that ids grow over restarts, and exact in
-        // JavaScript.
+        // The clock in microseconds grows faster than events arrive, so that ids also grow across
+        // restarts; and JavaScript represents it exactly.
         let events = Arc::new(EventLog::new((utc_now_ns() / 1000).max(0).unsigned_abs()));
         let maps = Arc::new(CalibrationMaps::new(Arc::clone(&store)));
         let health = Arc::new(StoreHealth::new(Arc::clone(&metrics)));
@@ -73,7 +73,7 @@ impl Fleet {
             shared,
             options: options.clone(),
         };
-        // A fleet that is dropped half started ends the threads that it has.
+        // If a step fails, the fleet is dropped, which ends the threads that were started.
         fleet.exchange(Exchange { cameras: plans, ..Exchange::default() })?;
         let unfinished = fleet.shared.store.unfinished_sessions()?;
         for row in fleet.shared.store.unreadable() {
@@ -92,8 +92,8 @@ impl Fleet {
         Ok(fleet)
     }
 
-    /// Ends every thread; sessions stay as they are and go on with the next start. Blocks for less
-    /// than a second: a thread that a driver does not let go is left behind.
+    /// Ends every thread; sessions are left as they are and resumed at the next start. Blocks for
+    /// less than a second: a thread that a driver blocks is left behind.
     pub fn shutdown(&self) {
         let rigs = std::mem::take(&mut *write(&self.rigs));
         let cameras = std::mem::take(&mut *write(&self.cameras));
@@ -145,7 +145,7 @@ impl Fleet {
         link.recorder.start(&camera, &self.recordings_folder(), limits, room)
     }
 
-    /// Ends recording `id`; its file is whole when this returns.
+    /// Ends recording `id`; its file is complete when this returns.
     ///
     /// # Errors
     /// [`RecordError::UnknownRecording`], [`RecordError::Over`].
@@ -164,8 +164,8 @@ impl Fleet {
         camera.recorder.finish().ok_or_else(over)
     }
 
-    /// The recordings that lie on disk: the newest of each camera since the daemon started, then
-    /// the others, newest first.
+    /// The recordings on disk: the newest of each camera since the daemon started, then the others,
+    /// newest first.
     pub fn recordings(&self) -> Vec<RecordingStatus> {
         let newest = |running: &RunningCamera| running.camera.recorder.status();
         let mut found: Vec<_> = self.running().iter().filter_map(newest).collect();
@@ -191,8 +191,8 @@ impl Fleet {
         recording_notes::delete(&status).map_err(refused)
     }
 
-    /// Deletes the recordings that have ended and that `retention` does not keep: their names,
-    /// oldest first.
+    /// Deletes the recordings that have ended and that `retention` does not keep. Returns their
+    /// names, oldest first.
     ///
     /// # Errors
     /// [`RecordError::File`].
@@ -246,7 +246,7 @@ impl Fleet {
         Ok(self.rig_link(name)?.rig_status())
     }
 
-    /// Whether any camera delivers, and no session is paused.
+    /// Whether any camera delivers frames, and no session is paused.
     pub fn is_ready(&self) -> bool {
         let delivers = |running: &RunningCamera| {
             running.camera.status.borrow().state == CameraState::Streaming
@@ -254,14 +254,12 @@ impl Fleet {
         self.running().iter().any(delivers) && self.paused().is_empty()
     }
 
-    /// The sessions that are paused because the store does not take what they keep, and why, in
-    /// words.
+    /// The sessions that are paused because their data cannot be stored, with the reason in words.
     pub fn paused(&self) -> Vec<String> {
         self.shared.health.reasons()
     }
 
-    /// A camera's newest frame with what was seen in it, now and as it changes; `None` before the
-    /// first.
+    /// A channel with a camera's newest frame and its detection; `None` before the first frame.
     ///
     /// # Errors
     /// [`UnknownCamera`].
@@ -272,7 +270,8 @@ impl Fleet {
         Ok(self.link(name)?.frames.subscribe())
     }
 
-    /// What a camera sees from now on, drawn and encoded once for all who ask for the same drawing.
+    /// What a camera sees from now on, drawn and encoded once for all clients that request the same
+    /// drawing.
     ///
     /// # Errors
     /// [`UnknownCamera`].
@@ -306,7 +305,7 @@ impl Fleet {
         Ok(image)
     }
 
-    /// Why the camera `name` gives nothing newer than its newest frame; `None` while it does.
+    /// Why the camera `name` delivers nothing newer than its newest frame; `None` while it does.
     pub fn why_nothing_newer(&self, name: &str) -> Option<String> {
         let camera = self.link(name).ok()?;
         let status = camera.status.borrow();
@@ -340,7 +339,7 @@ impl Fleet {
         found.ok_or_else(|| UnknownCamera { camera: name.to_owned() })
     }
 
-    /// The camera `name` by itself.
+    /// The instrument that is the camera `name` alone.
     pub(super) fn own_link(&self, name: &str) -> Result<Arc<Instrument>, UnknownCamera> {
         let running = self.running();
         let found = running.iter().find(|running| running.camera.name == name);
@@ -355,7 +354,7 @@ impl Fleet {
         found.ok_or_else(|| UnknownRig { rig: name.to_owned() })
     }
 
-    /// Every camera by itself, then every rig.
+    /// The instruments of all single cameras, then those of all rigs.
     pub(super) fn instruments(&self) -> Vec<Arc<Instrument>> {
         let own = self.running().iter().map(|r| Arc::clone(&r.own.instrument)).collect::<Vec<_>>();
         let rigs = self.running_rigs().iter().map(|r| Arc::clone(&r.instrument)).collect();

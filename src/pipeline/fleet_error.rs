@@ -1,14 +1,14 @@
-//! Why a fleet refuses.
+//! Errors of a fleet.
 
 use crate::store::StoreError;
 
-/// Why cameras or rigs were not set going.
+/// Why cameras or rigs were not started.
 #[derive(Debug, thiserror::Error)]
 pub enum FleetError {
-    /// What an earlier run left could not be read.
+    /// The sessions of an earlier run could not be read.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// The system gives no more threads.
+    /// The system refused another thread.
     #[error("a thread for `{name}` could not be started: {detail}")]
     Thread {
         /// The camera's or rig's name.

@@ -1,4 +1,4 @@
-//! Cameras and rigs that come and go while the others of the fleet do not notice.
+//! Starts and stops cameras and rigs without affecting the others of the fleet.
 
 use std::sync::MutexGuard;
 
@@ -13,23 +13,24 @@ use crate::pipeline::running::{
 use crate::pipeline::unknown::UnknownCamera;
 
 impl Fleet {
-    /// Stops what goes and sets going what comes, with the sessions that were left unfinished; one
-    /// whose camera has another source now is given up instead, and its views stay. Blocks while
-    /// recordings are written to the end, and while kept views are read again.
+    /// Stops some cameras and rigs and starts others, with the sessions that were left unfinished.
+    /// A session whose camera has another source now is aborted instead; its views stay. Blocks
+    /// while recordings are completed, and while stored views are read.
     ///
     /// # Errors
     /// [`FleetError`]; what comes before the one that failed is running then.
     pub fn exchange(&self, exchange: Exchange) -> Result<(), FleetError> {
         let Exchange { stopped_rigs, stopped_cameras, cameras, rigs } = exchange;
-        // One step for whoever gives up sessions of what is not configured: what is exchanged is
-        // not known in between, and its threads store its sessions still.
+        // One step for those that abort sessions of instruments that are not configured: an
+        // instrument that is being exchanged is not listed meanwhile, but its threads still store
+        // its sessions.
         let _exchanging = self.exchanging();
         self.stop_rigs(&stopped_rigs);
         self.replace_cameras(&stopped_cameras, cameras)?;
         self.start_rigs(rigs)
     }
 
-    /// Waits until nothing is being exchanged, and has it stay so.
+    /// Waits until no exchange is running, and blocks others while the guard is held.
     pub(super) fn exchanging(&self) -> MutexGuard<'_, ()> {
         lock(&self.exchange)
     }
@@ -77,7 +78,7 @@ impl Fleet {
         stop_rigs(leaving);
     }
 
-    /// Puts cameras and rigs in the order of these names.
+    /// Sorts cameras and rigs in the order of these names.
     pub fn arrange(&self, cameras: &[&str], rigs: &[&str]) {
         let place = |names: &[&str], name: &str| names.iter().position(|other| *other == name);
         write(&self.cameras).sort_by_key(|running| place(cameras, &running.camera.name));
@@ -85,7 +86,7 @@ impl Fleet {
     }
 }
 
-/// The newest of `unfinished` that is of the camera or rig `name`.
+/// Takes the newest of `unfinished` that is of the camera or rig `name`.
 fn take_newest_of(unfinished: &mut Vec<SessionRecord>, name: &str) -> Option<SessionRecord> {
     let at = unfinished.iter().rposition(|record| record.camera == name)?;
     Some(unfinished.remove(at))

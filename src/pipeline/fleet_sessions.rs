@@ -56,8 +56,8 @@ impl Fleet {
         start(&rig, request).await
     }
 
-    /// Ends the collecting of session `id` and begins to solve; returns without waiting for the
-    /// solve, see [`Self::session_over`]. A session that solves already is left to it.
+    /// Ends the collecting of session `id` and begins to solve. Returns without waiting for the
+    /// solve, see [`Self::session_over`]. A session that already solves is left alone.
     ///
     /// # Errors
     /// [`EndError`]; a session that is not the newest of its camera counts as unknown here.
@@ -65,7 +65,7 @@ impl Fleet {
         self.end_session(id, Message::Stop).await
     }
 
-    /// Gives session `id` up; its views stay stored.
+    /// Aborts session `id`; its views stay stored.
     ///
     /// # Errors
     /// [`EndError`]; a session that is not the newest of its camera counts as unknown here.
@@ -73,8 +73,7 @@ impl Fleet {
         self.end_session(id, Message::Abort).await
     }
 
-    /// Gives up session `id`, which no camera or rig goes on with. Blocks while cameras are
-    /// exchanged.
+    /// Aborts session `id`, which no camera or rig continues. Blocks while cameras are exchanged.
     ///
     /// # Errors
     /// [`EndError`]; a session that is over, or that its camera goes on with, is not touched.
@@ -96,7 +95,7 @@ impl Fleet {
     pub async fn forget_session(&self, id: &str) {
         let Some(owner) = self.owner(id) else { return };
         let (reply, answer) = oneshot::channel();
-        // A thread that has ended shows nothing any more: the daemon stops.
+        // If the thread has ended, the daemon is stopping and nothing is shown any more.
         if owner.messages.send(Message::Forget(id.to_owned(), reply)).await.is_ok() {
             let _ = answer.await;
         }
@@ -129,7 +128,7 @@ impl Fleet {
         answer.await.map_err(|_| EndError::Stopping)?
     }
 
-    /// Whose newest session `id` is.
+    /// The instrument whose newest session is `id`.
     fn owner(&self, id: &str) -> Option<Arc<Instrument>> {
         let has = |instrument: &Arc<Instrument>| {
             instrument.session.borrow().as_ref().is_some_and(|record| record.id == id)

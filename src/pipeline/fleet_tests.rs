@@ -1,5 +1,4 @@
-//! The fleet on sources that do what the test says: deliver, fall silent, vanish, break, panic,
-//! end.
+//! Tests of the fleet with scripted sources: they deliver, stall, disappear, fail, panic or end.
 
 use std::sync::Arc;
 use std::sync::mpsc::channel;
@@ -22,7 +21,7 @@ async fn a_session_lives_through_a_loss_and_says_so() {
     let (plan, script) = scripted("front");
     let feed = script.plug_in();
     let fleet = fleet_of(vec![plan], &folder, PATIENCE);
-    // A camera's thread and its session's announce side by side: one stream for each.
+    // A camera's thread and its session's thread publish concurrently: one stream for each.
     let (mut events, mut session_events) = (fleet.events(Some(0)), fleet.events(Some(0)));
     feed.send(ScriptStep::Frame).unwrap();
     until_state(&mut events, "front", CameraState::Streaming).await;
@@ -98,7 +97,7 @@ async fn two_cameras_never_hold_each_other_up() {
     let folder = tempfile::tempdir().unwrap();
     let (release, blocked) = channel::<()>();
     let stuck = move || {
-        // A driver that does not come back.
+        // A driver that does not return.
         let _ = blocked.recv();
         Err(lost("gone"))
     };
@@ -153,7 +152,8 @@ async fn a_driver_that_does_not_let_go_is_said_and_the_camera_comes_back() {
         })
         .await;
     }
-    // Plugged in again it is another device to the system, whatever the driver does.
+    // When it is plugged in again, the system treats it as another device, whatever the driver
+    // does.
     let feed = script.plug_in();
     feed.send(ScriptStep::Frame).unwrap();
     until_state(&mut events, "front", CameraState::Streaming).await;
@@ -225,8 +225,8 @@ async fn an_unfinished_session_goes_on_under_its_id() {
     );
 }
 
-/// SQLite says that the disk is full: the session pauses, says so everywhere, and nothing that was
-/// announced is missing; with room again it goes on by itself.
+/// SQLite reports that the disk is full: the session pauses and reports this everywhere, and
+/// nothing that was announced is missing; once there is room, it resumes by itself.
 #[tokio::test]
 async fn a_session_pauses_while_it_cannot_be_stored_and_goes_on_by_itself() {
     let folder = tempfile::tempdir().unwrap();

@@ -5,17 +5,17 @@ use std::time::{Duration, Instant};
 
 const WINDOW: Duration = Duration::from_secs(1);
 
-/// When the newest frames came.
+/// The arrival times of the newest frames.
 #[derive(Debug, Default)]
 pub(super) struct FrameRate {
     arrivals: VecDeque<Instant>,
 }
 
 impl FrameRate {
-    /// Counts a frame that came at `now`; the rate, once there are two.
+    /// Counts a frame that arrived at `now`. Returns the rate, once there are two frames.
     pub(super) fn count(&mut self, now: Instant) -> Option<f64> {
         self.arrivals.push_back(now);
-        // Two are kept however old they are: a slow camera has a rate too.
+        // Two are kept even if they are old: a slow camera has a rate too.
         while self.arrivals.len() > 2 && now.duration_since(self.arrivals[0]) > WINDOW {
             self.arrivals.pop_front();
         }

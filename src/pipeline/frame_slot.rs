@@ -1,12 +1,12 @@
-//! The one place between a camera and its detector. A live camera's newest frame wins: whatever the
-//! detector has not taken is replaced, so that it never searches an old one. A replay that must not
-//! skip waits for the place instead.
+//! The slot for one item between a camera and its detector. With a live camera, a newer frame
+//! replaces one that the detector has not taken, so that the detector never searches an old frame.
+//! A replay that must not skip frames waits until the slot is free.
 
 #[cfg(test)]
 use super::sync::testing;
 use super::sync::{Condvar, Mutex, MutexGuard, lock, unpoisoned};
 
-/// Holds one item at most.
+/// Holds at most one item.
 #[derive(Debug)]
 pub(super) struct FrameSlot<T> {
     state: Mutex<SlotState<T>>,
@@ -19,7 +19,7 @@ struct SlotState<T> {
     closed: bool,
 }
 
-/// The slot is closed: nobody takes from it any more.
+/// The slot is closed: its items are no longer taken.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Closed;
 
@@ -28,7 +28,7 @@ impl<T> FrameSlot<T> {
         Self { state: Mutex::new(SlotState { item: None, closed: false }), changed: Condvar::new() }
     }
 
-    /// Puts `item` in place of what is there; what it replaced.
+    /// Puts `item` into the slot. Returns the item that it replaced.
     pub(super) fn put_newest(&self, item: T) -> Result<Option<T>, Closed> {
         let mut state = self.lock();
         if state.closed {
@@ -39,7 +39,7 @@ impl<T> FrameSlot<T> {
         Ok(replaced)
     }
 
-    /// Waits until the place is free, then puts `item` there.
+    /// Waits until the slot is free, then puts `item` into it.
     pub(super) fn put_waiting(&self, item: T) -> Result<(), Closed> {
         let mut state = self.lock();
         while state.item.is_some() && !state.closed {
@@ -64,7 +64,7 @@ impl<T> FrameSlot<T> {
         item
     }
 
-    /// Wakes everyone who waits; nothing goes through any more.
+    /// Wakes all threads that wait; no item passes any more.
     pub(super) fn close(&self) {
         self.lock().closed = true;
         self.changed.notify_all();

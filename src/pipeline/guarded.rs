@@ -1,8 +1,10 @@
-//! A fault of the program in one frame or one solve must not end a daemon that runs for weeks.
+//! Catches panics: a bug that shows in one frame or one solve must not end a daemon that runs for
+//! weeks.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-/// Runs `work`; a panic becomes an error in words. What `work` changed must be thrown away then.
+/// Runs `work`; a panic becomes an error in words. The caller must then discard what `work`
+/// changed.
 pub(super) fn guarded<T>(work: impl FnOnce() -> T) -> Result<T, String> {
     #[cfg(test)]
     let work = || {
@@ -16,7 +18,7 @@ pub(super) fn guarded<T>(work: impl FnOnce() -> T) -> Result<T, String> {
     })
 }
 
-/// Faults that a test asks for: guarded work on a thread of this name panics.
+/// Faults that a test requests: guarded work on a thread of this name panics.
 #[cfg(test)]
 pub(super) mod faults {
     use std::sync::Mutex;

@@ -1,5 +1,5 @@
-//! Cameras that are calibrated together, one or more, as seen from outside, and the link to the
-//! threads that work for them. Each camera is an instrument; a rig is one more.
+//! Instruments: one or more cameras that are calibrated together, as seen from outside, and the
+//! link to their threads. Each camera is an instrument; each rig is one more.
 
 use std::sync::{Arc, Mutex};
 
@@ -16,7 +16,7 @@ use crate::pipeline::metrics::Metrics;
 use crate::pipeline::stop_signal::StopSignal;
 use crate::store::{Store, StoreError};
 
-/// A rig to set going: cameras that are fixed to each other.
+/// A rig to start: cameras that are fixed to each other.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RigPlan {
     /// Its name in the configuration.
@@ -25,7 +25,7 @@ pub struct RigPlan {
     pub cameras: Vec<String>,
 }
 
-/// A rig and what it is doing.
+/// A rig and its state.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RigStatus {
     /// Its name in the configuration.
@@ -36,12 +36,12 @@ pub struct RigStatus {
     pub session: Option<String>,
     /// The current approved calibration, if there is one.
     pub calibration: Option<String>,
-    /// Why that may not hold any more for the images of one of its cameras; `None` while all is
-    /// well.
+    /// Why that calibration may no longer be valid for the images of one of its cameras; `None`
+    /// otherwise.
     pub reason: Option<String>,
 }
 
-/// One instrument, as its threads and its readers see it.
+/// One instrument, as shared by its threads and its readers.
 #[derive(Debug)]
 pub(super) struct Instrument {
     pub(super) name: String,
@@ -50,7 +50,7 @@ pub(super) struct Instrument {
     pub(super) is_rig: bool,
     pub(super) session: watch::Sender<Option<Arc<SessionRecord>>>,
     pub(super) calibration: watch::Sender<Option<String>>,
-    /// Held while another calibration becomes the current one.
+    /// Held while another calibration is made the current one.
     pub(super) approving: Mutex<()>,
     pub(super) messages: mpsc::Sender<Message>,
     pub(super) jobs: Jobs,
@@ -60,15 +60,15 @@ pub(super) struct Instrument {
 }
 
 impl Instrument {
-    /// The names that a session of it has for its cameras: none for an instrument that is one
-    /// camera.
+    /// The names of the cameras in a session of this instrument; empty if the instrument is a
+    /// single camera.
     pub(super) fn member_names(&self) -> Vec<String> {
         let cameras = if self.is_rig { self.cameras.as_slice() } else { &[] };
         cameras.iter().map(|camera| camera.name.clone()).collect()
     }
 
-    /// Has `write` store that `calibration` holds from now on, then shows and announces it; one at
-    /// a time, so that what is shown is what is stored.
+    /// Stores with `write` that `calibration` is the current one, then shows and announces it. One
+    /// call at a time, so that the calibration shown is the one stored.
     pub(super) fn make_current(
         &self,
         calibration: &Calibration,
@@ -82,7 +82,7 @@ impl Instrument {
         Ok(())
     }
 
-    /// Says that there is a calibration, and whether it is the current one.
+    /// Announces that there is a calibration, and whether it is the current one.
     pub(super) fn announce_calibration(&self, calibration: &Calibration, current: bool) {
         if let Some(event) = CalibrationEvent::of(calibration, current) {
             self.publish(EventKind::Calibration(event));
@@ -97,7 +97,7 @@ impl Instrument {
         }
     }
 
-    /// Has a rig's cameras know its calibration.
+    /// Gives a rig's calibration to its cameras.
     pub(super) fn share_calibration(&self, id: &str, store: &Store) {
         self.cameras.iter().for_each(|camera| camera.set_rig_calibration(&self.name, id, store));
     }
@@ -122,7 +122,7 @@ impl Instrument {
     pub(super) fn ask_to_stop(&self) {
         self.stop.set();
         self.jobs.close();
-        // A full queue wakes its thread anyway.
+        // If the queue is full, the thread is awake anyway.
         let _ = self.messages.try_send(Message::Wake);
     }
 }

@@ -1,6 +1,7 @@
-//! The hand-overs between threads once more, compiled with the primitives of `shuttle`: their tests
-//! run in thousands of orders of their threads, the same ones each time. Its waits never end by
-//! their time limit, so that a hand-over that only a time limit ends is found as a deadlock.
+//! Compiles the modules that pass data between threads a second time, with the primitives of
+//! `shuttle`: their tests run under thousands of thread schedules, the same ones each time.
+//! Shuttle's waits never time out, so code that only makes progress through a time limit is
+//! reported as a deadlock.
 
 /// `sync`, with shuttle's primitives.
 mod sync {
@@ -17,10 +18,10 @@ mod sync {
         pub(in crate::pipeline) use shuttle::thread;
         use shuttle::{Config, FailurePersistence, Runner};
 
-        /// Orders of each kind that a test runs in.
+        /// Schedules of each kind that a test runs under.
         const ORDERS: usize = 1000;
-        /// Preemptions at chosen moments in an order of the second kind (Burckhardt et al., "A
-        /// randomized scheduler with probabilistic guarantees of finding bugs", 2010).
+        /// Preemptions in a schedule of the second kind (Burckhardt et al., "A randomized scheduler
+        /// with probabilistic guarantees of finding bugs", 2010).
         const DEPTH: usize = 3;
         const SEED: u64 = 1;
         /// The metrics need more than shuttle's own 32 kB.
@@ -33,7 +34,7 @@ mod sync {
             config
         }
 
-        /// In orders chosen evenly, and in orders with few preemptions.
+        /// Under uniformly random schedules, and under schedules with few preemptions.
         pub(in crate::pipeline) fn in_any_order(test: impl Fn() + Send + Sync + Clone + 'static) {
             let evenly = RandomScheduler::new_from_seed(SEED, ORDERS);
             Runner::new(evenly, config()).run(test.clone());
@@ -41,7 +42,7 @@ mod sync {
             Runner::new(preempted, config()).run(test);
         }
 
-        /// Once: a test of one thread.
+        /// Once: for a test with one thread.
         pub(in crate::pipeline) fn alone(test: impl Fn() + Send + Sync + 'static) {
             Runner::new(RandomScheduler::new_from_seed(SEED, 1), config()).run(test);
         }

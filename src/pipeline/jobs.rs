@@ -1,6 +1,5 @@
-//! What an instrument's solve thread is to compute: one place for the result, and one for a running
-//! estimate of each camera. A newer job takes the place of an older one, which nobody waits for any
-//! more, so that there are never more than that.
+//! The jobs of an instrument's solve thread: at most one final solve, and one running estimate for
+//! each camera. A newer job replaces an older one, whose result is no longer needed.
 
 #[cfg(test)]
 use super::sync::testing;
@@ -8,12 +7,12 @@ use super::sync::{Condvar, Mutex, MutexGuard, lock, unpoisoned};
 use crate::estimation::interrupt::Interrupt;
 use crate::pipeline::solve_job::{EstimateJob, SolveJob};
 
-/// What is computed next.
+/// The next job.
 #[derive(Debug)]
 pub(super) enum Job {
-    /// The result.
+    /// The final solve.
     Solve(Box<SolveJob>),
-    /// How far a camera's views are.
+    /// A running estimate of one camera.
     Estimate(Box<EstimateJob>),
 }
 
@@ -27,7 +26,7 @@ pub(super) struct Jobs {
 #[derive(Debug, Default)]
 struct WaitingJobs {
     solve: Option<Box<SolveJob>>,
-    /// Ends the solve that was taken last.
+    /// Interrupts the solve that was taken last.
     running: Interrupt,
     /// By the camera's place.
     estimates: Vec<Option<Box<EstimateJob>>>,
@@ -39,7 +38,7 @@ impl Jobs {
         let mut state = self.lock();
         state.running.request();
         state.solve = Some(Box::new(job));
-        // Its session takes no estimate any more.
+        // The session is being solved: it takes no estimate any more.
         state.estimates.clear();
         self.changed.notify_all();
     }
@@ -54,7 +53,7 @@ impl Jobs {
         self.changed.notify_all();
     }
 
-    /// Waits for a job, the result before any estimate; `None` once closed.
+    /// Waits for a job; the final solve comes before any estimate. `None` once closed.
     pub(super) fn take(&self) -> Option<Job> {
         let mut state = self.lock();
         loop {
@@ -72,14 +71,14 @@ impl Jobs {
         }
     }
 
-    /// Nobody waits for a result any more.
+    /// The result is no longer needed.
     pub(super) fn abandon_solve(&self) {
         let mut state = self.lock();
         state.solve = None;
         state.running.request();
     }
 
-    /// Ends the thread that takes them, and what it computes.
+    /// Ends the thread that takes the jobs, and interrupts its computation.
     pub(super) fn close(&self) {
         let mut state = self.lock();
         state.closed = true;

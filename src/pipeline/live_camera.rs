@@ -26,34 +26,34 @@ use crate::pipeline::search::CurrentSearch;
 use crate::pipeline::stop_signal::StopSignal;
 use crate::store::Store;
 
-/// One camera, as its threads see it.
+/// One camera, as shared by its threads.
 #[derive(Debug)]
 pub(super) struct LiveCamera {
     pub(super) name: String,
-    /// What decides the geometry of its images, in words.
+    /// What determines the geometry of its images, in words.
     pub(super) image_source: String,
     pub(super) status: watch::Sender<CameraStatus>,
     pub(super) frames: watch::Sender<Option<Arc<LiveFrame>>>,
     pub(super) search: CurrentSearch,
     pub(super) slot: FrameSlot<Captured>,
-    /// To the thread that owns the session of the camera by itself.
+    /// To the thread that owns the session of this camera alone.
     pub(super) messages: mpsc::Sender<Message>,
     pub(super) events: Arc<EventLog>,
     pub(super) metrics: Arc<Metrics>,
     pub(super) stop: StopSignal,
     pub(super) recorder: RecorderLink,
-    /// What the device that is open states of its own sensors.
+    /// What the open device states about its own sensors.
     pub(super) factory: SharedFactory,
     pub(super) preview: Preview,
     /// Where the running session asks for the board.
     pub(super) guidance: Mutex<Guidance>,
-    /// What the running session kept last of a scene.
+    /// The last key frame of the running session.
     pub(super) key_frame: Mutex<Option<SceneImage>>,
-    /// The images that come now.
+    /// What is known about the present images.
     pub(super) images: Mutex<ImagesNow>,
     /// Its own current calibration.
     pub(super) calibrated: Mutex<Option<CurrentCalibration>>,
-    /// The rigs that it is in with their current calibrations, the newest last.
+    /// The rigs that it is in, with their current calibrations, the newest last.
     pub(super) rigs: Mutex<Vec<RigCalibration>>,
 }
 
@@ -66,7 +66,7 @@ pub(super) struct RigCalibration {
 }
 
 impl LiveCamera {
-    /// Changes the state and announces it, if it is a change.
+    /// Sets the state, and announces it if it changed.
     pub(super) fn set_state(&self, state: CameraState, reason: Option<&str>) {
         let changed = self.status.send_if_modified(|status| {
             let changed = status.state != state || status.reason.as_deref() != reason;
@@ -82,8 +82,9 @@ impl LiveCamera {
         self.announce();
     }
 
-    /// It gives frames. The reason is what has moved since a session held it, else why a current
-    /// calibration may not be of these images, which is also reported as drift.
+    /// The camera delivers frames. The reason is what has changed since a session fixed it, or else
+    /// why a current calibration may not be valid for these images, which is also reported as
+    /// drift.
     pub(super) fn gives_frames(&self) {
         let images = self.images();
         let (reason, drifts) = self.changes_now(&images);
@@ -92,8 +93,8 @@ impl LiveCamera {
         self.publish_drifts(drifts);
     }
 
-    /// Holds the current calibrations against the images that come now once more: where another
-    /// one is current, or the images have changed. A camera that gives none stays as it is.
+    /// Compares the current calibrations with the present images again, after either has changed. A
+    /// camera that delivers no images keeps its state.
     pub(super) fn compare_calibrations(&self) {
         let images = self.images();
         if self.status.borrow().state != CameraState::Streaming {
@@ -101,7 +102,7 @@ impl LiveCamera {
         }
         let (reason, drifts) = self.changes_now(&images);
         let shown = reason.clone();
-        // It may have been lost meanwhile.
+        // The camera may have been lost meanwhile.
         let changed = self.status.send_if_modified(|status| {
             let changed = status.state == CameraState::Streaming && status.reason != reason;
             if changed {
@@ -117,14 +118,14 @@ impl LiveCamera {
         self.publish_drifts(drifts);
     }
 
-    /// What is known of the images that come now; held while it is compared and the reason is set,
-    /// so that the last comparison is the one that is shown.
+    /// What is known about the present images. Locked during the comparison until the reason is
+    /// set, so that the last comparison is the one shown.
     pub(super) fn images(&self) -> MutexGuard<'_, ImagesNow> {
         lock(&self.images)
     }
 
-    /// The reason that these images give, and what of it was not reported yet, each for its camera
-    /// or rig.
+    /// The reason that follows from these images, and the part of it that was not reported yet,
+    /// each with its camera or rig.
     fn changes_now(&self, images: &ImagesNow) -> (Option<String>, Vec<(String, Drift)>) {
         let now = Provenance {
             source: Some(self.image_source.clone()),
@@ -147,13 +148,14 @@ impl LiveCamera {
         drifts.into_iter().for_each(|(instrument, drift)| self.publish_drift(&instrument, drift));
     }
 
-    /// Which device gives its frames now, in words; `None` where none does, or it does not say.
+    /// The device that delivers the frames now, in words; `None` where there is none, or it does
+    /// not state its name.
     pub(super) fn streaming_device(&self) -> Option<String> {
         let status = self.status.borrow();
         status.identity.device().filter(|_| status.state == CameraState::Streaming)
     }
 
-    /// Shows the calibration that holds from now on.
+    /// Shows the current calibration.
     pub(super) fn set_calibration(&self, id: &str, store: &Store) {
         let current = CurrentCalibration::read(store, id, &self.name, &self.name);
         *lock(&self.calibrated) = current;
@@ -161,14 +163,14 @@ impl LiveCamera {
         self.compare_calibrations();
     }
 
-    /// Says that the current calibration of `instrument` may not hold any more.
+    /// Reports that the current calibration of `instrument` may no longer be valid.
     pub(super) fn publish_drift(&self, instrument: &str, drift: Drift) {
         let Drift { calibration, reason, .. } = &drift;
         tracing::warn!(camera = self.name, calibration, "{reason}");
         self.events.publish(instrument, EventKind::Drift(drift));
     }
 
-    /// Announces the status as it stands.
+    /// Announces the present status.
     pub(super) fn announce(&self) {
         let status = self.status.borrow().clone();
         self.publish(EventKind::Camera(Box::new(status)));
@@ -191,17 +193,17 @@ impl LiveCamera {
         PreviewState { camera, calibration, rig_calibration, outline_px, key_frame }
     }
 
-    /// What the device states that the readings of its depth images mean.
+    /// The encoding of the depth readings, as the device states it.
     pub(super) fn depth_encoding(&self) -> Option<DepthEncoding> {
         lock(&self.factory).depth_encoding
     }
 
-    /// Shows from now on what each image shares with `key_frame`.
+    /// From now on, shows the features that each image shares with `key_frame`.
     pub(super) fn show_shared_with(&self, key_frame: Option<SceneImage>) {
         *lock(&self.key_frame) = key_frame;
     }
 
-    /// Shows from now on where the board should be held.
+    /// From now on, shows where the board should be held.
     pub(super) fn suggest(&self, guidance: &Guidance) {
         let mut shown = lock(&self.guidance);
         guidance.clone_into(&mut shown);
@@ -223,14 +225,14 @@ impl LiveCamera {
         self.compare_calibrations();
     }
 
-    /// Why the rig's calibration may not hold for the images that come now.
+    /// Why the rig's calibration may not be valid for the present images.
     pub(super) fn said_of_rig(&self, rig: &str) -> Option<String> {
         let rigs = lock(&self.rigs);
         let current = rigs.iter().find(|known| known.rig == rig)?.current.as_ref()?;
         current.said().map(str::to_owned)
     }
 
-    /// It is in the rig no more.
+    /// The camera is no longer in the rig.
     pub(super) fn forget_rig(&self, rig: &str) {
         let mut rigs = lock(&self.rigs);
         rigs.retain(|known| known.rig != rig);

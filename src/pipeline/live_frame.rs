@@ -1,4 +1,4 @@
-//! The newest frame set of a camera, with what was seen in it.
+//! A camera's newest frame set, with the detections in it.
 
 use std::sync::Arc;
 
@@ -8,25 +8,24 @@ use crate::detection::board_detection::{Detection, NoBoard};
 use crate::imaging::frame::FrameSet;
 use crate::imaging::no_image::NoImage;
 
-/// A frame set with what was seen in it: preview, overlay and image come from one and the same
-/// frame.
+/// A frame set with the detections in it: preview, overlay and image are of the same frame.
 #[derive(Debug, Clone)]
 pub struct LiveFrame {
-    /// What the camera gave.
+    /// The frame set as the camera delivered it.
     pub frame_set: Arc<FrameSet>,
-    /// What was seen in its color frame; `None` while no session says which board to search for.
+    /// The detection in its color frame; `None` while no session states which board to search for.
     pub detection: Option<FrameDetection>,
 }
 
-/// What was seen in a frame, and how long it took to see it.
+/// The detection in a frame, and the time that it took.
 #[derive(Debug, Clone)]
 pub struct FrameDetection {
-    /// The board, or features of a scene; or why there is nothing.
+    /// The board, or the features of a scene; or the reason why there is none.
     pub outcome: Result<FrameContent, NoDetection>,
     /// The time that decoding and detection took, in milliseconds.
     pub elapsed_ms: f64,
-    /// The board was found near where it was in the frame before: its corners are exact enough to
-    /// decide on, not to keep.
+    /// The board was found near its position in the previous frame: its corners are accurate enough
+    /// to decide whether the frame is kept, but are not kept themselves.
     pub tracked: bool,
 }
 
@@ -45,7 +44,7 @@ impl FrameDetection {
 /// Why a frame shows no board.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum NoDetection {
-    /// It was searched in vain.
+    /// The image was searched, and no board was found.
     #[error(transparent)]
     NoBoard(#[from] NoBoard),
     /// The frame set has no image.

@@ -1,4 +1,5 @@
-//! More frames than can be searched, and a rig whose cameras do not keep up with each other.
+//! Tests with more frames than can be searched, and with a rig whose cameras deliver at different
+//! rates.
 
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -38,8 +39,8 @@ async fn until_frames(events: &mut EventStream, wanted: &[(&str, u64)]) {
     .await;
 }
 
-/// A rig of which one camera gives every third frame, then none, then is unplugged: the session
-/// goes on with what the others give, says what it waits for, and ends when it is asked to.
+/// One camera of a rig delivers every third frame, then none, then it is unplugged: the session
+/// goes on with the frames of the others, reports what it waits for, and ends on request.
 #[tokio::test]
 async fn a_rig_goes_on_without_the_camera_that_does_not() {
     const COMPLETE: &str = "plumb_rig_frame_sets_total{complete=\"true\",rig=\"head\"}";
@@ -55,7 +56,7 @@ async fn a_rig_goes_on_without_the_camera_that_does_not() {
     let id = fleet.start_rig_session("head", request()).await.unwrap().id;
     let busy = fleet.start_session("right", request()).await.unwrap_err();
     assert_eq!(busy, StartError::Busy { camera: "right".to_owned(), session: id.clone() });
-    // A frame that was asked for before the session began is nobody's.
+    // A frame that was requested before the session began belongs to no session.
     feeds.iter().for_each(|feed| feed.send(ScriptStep::At(1)).unwrap());
     until_frames(&mut events, &[("left", 1), ("right", 1)]).await;
     let seen = |record: &SessionRecord, place: usize| record.members[place].frames_seen;
@@ -69,14 +70,14 @@ async fn a_rig_goes_on_without_the_camera_that_does_not() {
         until_frames(&mut events, &sent).await;
     }
     until(&mut events, |_| (count(&fleet, COMPLETE) >= 10).then_some(())).await;
-    // Stalled: half a second later the other one is gone on with, and nothing piles up.
+    // Stalled: half a second later, frame sets are made without it, and no queue grows.
     for k in 31..=80 {
         feeds[0].send(ScriptStep::At(100 * k)).unwrap();
         until_frames(&mut events, &[("left", 1 + k as u64)]).await;
     }
     let before = count(&fleet, INCOMPLETE);
     assert!((20 + 50 - 17..=20 + 50).contains(&before), "{before}");
-    // Unplugged: it is not waited for at all.
+    // Unplugged: it is no longer waited for.
     feeds[1].send(ScriptStep::Fail(lost("unplugged"))).unwrap();
     until_session(&mut events, |record| {
         record.id == id
@@ -106,7 +107,7 @@ async fn a_rig_goes_on_without_the_camera_that_does_not() {
     fleet.abort_session(&own.id).await.unwrap();
 }
 
-/// A device that gives a large, noisy image at every sign, as fast as it is asked.
+/// A device that delivers a large, noisy image whenever it receives a sign, as fast as requested.
 struct Flood {
     signs: Receiver<()>,
     next: u64,
@@ -131,8 +132,8 @@ impl FrameSource for Flood {
     }
 }
 
-/// A search takes far longer than the next image: what is not searched is counted, the last one
-/// always is searched.
+/// A search takes far longer than the interval between images: those that are not searched are
+/// counted, and the last one is always searched.
 #[tokio::test]
 async fn when_detection_cannot_keep_up_the_newest_frame_wins() {
     const FRAMES: u64 = 200;
@@ -167,11 +168,11 @@ async fn when_detection_cannot_keep_up_the_newest_frame_wins() {
     .await;
     let searched = searched_frames.len() as u64;
     assert!(searched_frames.is_sorted() && searched < FRAMES / 4, "{searched_frames:?}");
-    // The first image may have been asked for before the session began: it is taken, but no board
-    // is searched for.
+    // The first image may have been requested before the session began: then it is taken, but not
+    // searched.
     assert!((searched..=searched + 1).contains(&taken), "{taken} taken, {searched} searched");
-    // A frame that takes another's place is counted once it has; the detector may be done with it
-    // by then.
+    // A frame that replaces another is counted only after it has done so; by then, the detector may
+    // have finished with it.
     let dropped = || fleet.camera("front").unwrap().dropped_frames;
     let began = Instant::now();
     while taken + dropped() < FRAMES && began.elapsed() < PATIENCE {

@@ -17,37 +17,37 @@ pub(super) struct SeenFrameSet {
     pub(super) observed: Vec<Option<CameraFrame>>,
 }
 
-/// Where the answer to a start goes.
+/// The channel for the answer to a start.
 pub(super) type StartReply = oneshot::Sender<Result<SessionRecord, StartError>>;
-/// Where the answer to a stop or an abort goes.
+/// The channel for the answer to a stop or an abort.
 pub(super) type EndReply = oneshot::Sender<Result<SessionRecord, EndError>>;
 
-/// To the thread that owns the session.
+/// A message to the thread that owns the session.
 #[derive(Debug)]
 pub(super) enum Message {
     /// A frame set was searched for the session of this id.
     Seen(Box<SeenFrameSet>, String),
     /// There are no more frames for this session.
     Ended { session: String, reason: String },
-    /// The camera at this place gives no frames.
+    /// The camera at this place delivers no frames.
     CameraLost { place: usize, reason: String },
-    /// All cameras give frames again.
+    /// All cameras deliver frames again.
     CamerasBack,
-    /// The device is no longer as the last session held it: what has changed, in words.
+    /// A setting that the last session fixed has changed on the device: which one, in words.
     Moved(String),
-    /// So many seconds went by without a frame.
+    /// This many seconds passed without a frame.
     Waited(f64),
     /// A running estimate of a camera's lens, if it could be made.
     Estimated { session: String, place: usize, estimate: Estimate },
     /// A session's solve.
     Solved { session: String, solved: Result<Box<Calibration>, String> },
-    /// Begin a session.
+    /// Start a session.
     Start(SessionRequest, StartReply),
-    /// Solve what has been gathered; answered once solving has begun.
+    /// Solve what has been collected; answered once solving has begun.
     Stop(String, EndReply),
-    /// Give it up.
+    /// Abort the session.
     Abort(String, EndReply),
-    /// It was deleted: nobody is to see it any more. Answered once that holds.
+    /// The session was deleted and must no longer be shown. Answered once it is not.
     Forget(String, oneshot::Sender<()>),
     /// Check whether to stop.
     Wake,

@@ -1,4 +1,4 @@
-//! What the daemon counts, in Prometheus's words.
+//! The daemon's metrics, in Prometheus's terms.
 
 use prometheus::{
     Encoder, HistogramOpts, HistogramVec, IntCounter, IntCounterVec, IntGauge, IntGaugeVec, Opts,
@@ -14,7 +14,7 @@ pub(super) struct Metrics {
     /// Frame sets received.
     pub(super) frames: IntCounterVec,
     /// Frame sets lost, and why: `device` (a gap in its count), `damaged`, `overload` (replaced by
-    /// a newer one unseen), `store` (while the session was paused).
+    /// a newer one before it was searched), `store` (while the session was paused).
     pub(super) dropped: IntCounterVec,
     /// Frames searched for a board.
     pub(super) searched: IntCounterVec,
@@ -30,7 +30,7 @@ pub(super) struct Metrics {
     pub(super) opened: IntCounterVec,
     /// Times that a camera was lost.
     pub(super) lost: IntCounterVec,
-    /// Frames drawn and encoded for whoever watches.
+    /// Frames drawn and encoded for clients.
     pub(super) previews: IntCounterVec,
     /// Frames that a newer one replaced before they were drawn.
     pub(super) previews_skipped: IntCounterVec,
@@ -171,7 +171,7 @@ impl Metrics {
         })
     }
 
-    /// Makes a camera's counts appear before they first change.
+    /// Makes a camera's metrics appear before they first change.
     pub(super) fn introduce(&self, camera: &str) {
         for counter in [
             &self.frames,
@@ -200,8 +200,7 @@ impl Metrics {
     /// In the text format, version 0.0.4.
     pub(super) fn text(&self) -> String {
         let mut text = Vec::new();
-        // Writing to memory cannot fail, and what was written before a failure is still worth
-        // showing.
+        // Writing to memory cannot fail, and even an incomplete text is worth showing.
         let _ = TextEncoder::new().encode(&self.registry.gather(), &mut text);
         String::from_utf8_lossy(&text).into_owned()
     }

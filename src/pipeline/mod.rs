@@ -1,19 +1,19 @@
-//! Where it becomes live: threads, channels, clocks. Uses every layer below.
+//! The live part of the program: threads, channels, clocks. Uses every layer below.
 //!
-//! A frame's way is one, whatever the instrument: `capture-<camera>` owns the device (which
-//! `close-<camera>` closes, however long that takes) and puts each frame set into a newest-wins
-//! slot (in a replay at full speed, a slot that waits instead); `detect-<camera>` takes it from
-//! there, searches for the board, or a scene's features, while a session collects, shows the frame
-//! with what was seen (`preview-<camera>` draws it, once for all who watch), and puts it into the
-//! session's `assembly`, where frames of several cameras meet and what may be kept is searched in
-//! full, with every other sensor; `session-<instrument>` owns the session, stores what it keeps,
-//! announces it, and answers requests. Solves run beside them on `solve-<instrument>`, so that no
-//! frame waits for one.
+//! Every frame takes the same path, whatever the instrument. `capture-<camera>` owns the device
+//! (which `close-<camera>` closes, however long that takes) and puts each frame set into a slot
+//! where the newest wins; in a replay at full speed, the slot waits instead. `detect-<camera>`
+//! takes it from there. While a session collects, it searches for the board, or for a scene's
+//! features. It shows the frame with its detections (`preview-<camera>` draws it, once for all
+//! clients) and passes it to the session's `assembly`. There the frames of several cameras are
+//! combined into frame sets, and those that may be kept are searched in full, on every sensor.
+//! `session-<instrument>` owns the session, stores what it keeps, announces it, and answers
+//! requests. Solves run on `solve-<instrument>`, so that no frame waits for one.
 //!
-//! Each camera is an instrument, and each rig is one more, with cameras that it acquires while its
-//! session collects. Every queue has a bound, and every drop a count in the metrics.
+//! Each camera is an instrument. Each rig is one more, and acquires its cameras while its session
+//! collects. Every queue is bounded, and every dropped frame is counted in the metrics.
 //!
-//! [`fleet::Fleet`] is the one object that the layers above talk to.
+//! [`fleet::Fleet`] is the only object that the layers above use.
 
 mod assembly;
 mod auxiliary;

@@ -1,4 +1,4 @@
-//! A session's views, with what the cameras' other sensors gave, as a problem to solve.
+//! A session's views, with those of the cameras' other sensors, as a problem to solve.
 
 use crate::calibration::rgbd_input::DepthSensor;
 use crate::calibration::scene::SceneDepth;
@@ -16,7 +16,7 @@ use crate::imaging::frame::SensorKind;
 use crate::pipeline::auxiliary::{AuxiliaryView, AuxiliaryViews};
 use crate::pipeline::solve_job::{SolveInput, SolveJob};
 
-/// The problem of a session; `stated` is what each camera's device states of its depth sensor.
+/// The solve of a session; `stated` is what each camera's device states about its depth sensor.
 pub(super) fn solve_job(
     session: &Session,
     auxiliary: &AuxiliaryViews,
@@ -44,7 +44,7 @@ pub(super) fn solve_job(
         let name = session.camera(place)?.summary().camera.clone();
         let given = record.request.held(&name);
         let camera = CameraFrameSets { given, ..seen.frame_sets(stated) };
-        // A rig's camera that gave no image yet is none.
+        // A rig's camera that has not delivered an image yet is left out.
         let gave = seen.color_size.width > 0;
         let name = is_rig.then_some(name);
         (gave || !is_rig).then_some(CameraFrameSets { name, ..camera })
@@ -63,7 +63,7 @@ pub(super) fn solve_job(
     }
 }
 
-/// Depth that was taken together with the key frames of a scene; `None` where there is none.
+/// Depth that was measured together with the key frames of a scene; `None` where there is none.
 fn scene_depth(
     key_frames: &[KeyFrame],
     auxiliary: &[AuxiliaryView],
@@ -77,7 +77,7 @@ fn scene_depth(
     Some(SceneDepth { sensor, images: key_frames.iter().map(image).collect() })
 }
 
-/// What is known of a depth sensor with images of `size`, with what the device states of it.
+/// What is known about a depth sensor with images of `size`, including the device's statements.
 fn depth_sensor(
     encoding: Option<DepthEncoding>,
     size: ImageSize,
@@ -93,7 +93,7 @@ fn depth_sensor(
     }
 }
 
-/// What one camera of a session saw.
+/// The observations of one camera of a session.
 struct CameraSeen<'a> {
     board: Target,
     /// Its views, each with its number in the session and that of its frame set.
@@ -121,17 +121,18 @@ impl<'a> CameraSeen<'a> {
         })
     }
 
-    /// What a sensor gave with the view `number`.
+    /// What a sensor delivered with the view `number`.
     fn with(&self, number: u32, sensor: SensorKind) -> Option<&'a AuxiliaryView> {
         self.auxiliary.iter().find(|view| view.number == number && view.sensor == sensor)
     }
 
-    /// All that a sensor gave with the camera's views.
+    /// Everything that a sensor delivered with the camera's views.
     fn all(&self, sensor: SensorKind) -> impl Iterator<Item = &'a AuxiliaryView> {
         self.views.iter().filter_map(move |(number, ..)| self.with(*number, sensor))
     }
 
-    /// What each sensor saw; images of another size than a sensor's first are left out.
+    /// The observations of each sensor; images of another size than the sensor's first are left
+    /// out.
     fn frame_sets(&self, stated: Option<&FactorySensor>) -> CameraFrameSets {
         let depth_size = self.all(SensorKind::Depth).next().map(|depth| depth.image_size);
         let is_other = |kind: &SensorKind| kind.is_image() && *kind != SensorKind::Color;
@@ -167,7 +168,7 @@ impl<'a> CameraSeen<'a> {
         }
     }
 
-    /// What is known of the depth sensor, with what the device states of it.
+    /// What is known about the depth sensor, including the device's statements.
     fn depth_sensor(&self, size: ImageSize, stated: Option<&FactorySensor>) -> DepthSensor {
         let mut of_depth = SensorKind::ALL.into_iter().filter(|kind| kind.is_of_depth());
         let infrared = of_depth.find_map(|kind| self.all(kind).next());

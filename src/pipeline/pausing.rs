@@ -1,6 +1,6 @@
-//! Store first, announce then: how what a session keeps gets to the disk, and what becomes of the
-//! session while it does not. Such a session is paused and says why; it takes no frames, and goes
-//! on by itself as soon as what waits is stored.
+//! Everything that a session keeps is stored before it is announced. While it cannot be stored, the
+//! session is paused and gives the reason: it takes no frames, and resumes by itself as soon as
+//! everything that is waiting has been stored.
 
 use std::sync::Arc;
 
@@ -24,7 +24,7 @@ use crate::pipeline::unstored::{Unstored, UnstoredWork};
 use crate::store::{Picture, SensorView, StoreError};
 
 impl SessionThread {
-    /// What comes next; what could not be stored is tried again meanwhile.
+    /// The next message. While waiting for it, retries what could not be stored.
     pub(super) fn next_message(
         &mut self,
         messages: &mut mpsc::Receiver<Message>,
@@ -44,8 +44,8 @@ impl SessionThread {
         }
     }
 
-    /// A kept frame set's views as the store has them, those of the other sensors too; what is
-    /// needed of these to solve stays in memory.
+    /// The views of a kept frame set, those of the other sensors too, as they are stored. The part
+    /// of the other sensors' views that a solve needs stays in memory.
     pub(super) fn views_to_store(
         &mut self,
         seen: &SeenFrameSet,
@@ -68,7 +68,7 @@ impl SessionThread {
                 continue;
             };
             let camera = members.get(place.camera);
-            // The sensor that is searched counts as color, whichever it is.
+            // The sensor that is searched is stored as color, even if it is infrared.
             let sensor = |kind: SensorKind| match camera {
                 Some(camera) => SensorId::of(camera, kind),
                 None => SensorId::own(kind),
@@ -103,7 +103,7 @@ impl SessionThread {
         rows
     }
 
-    /// Stores the session as it is, then performs `actions`.
+    /// Stores the session's present state, then performs `actions`.
     pub(super) fn store_actions(&mut self, actions: Vec<Action>) {
         match &mut self.unstored {
             Some(unstored) => unstored.then(actions),
@@ -139,10 +139,10 @@ impl SessionThread {
         }
     }
 
-    /// Keeps a frame set of a replay until the session goes on; a live one is dropped.
+    /// Keeps a frame set of a replay until the session resumes; a live one is dropped.
     pub(super) fn set_aside(&mut self, seen: SeenFrameSet) {
         if seen.frames.iter().flatten().any(|frame| frame.waits) {
-            // No more than were in the queue when the assembly was held.
+            // At most as many as were in the queue when the assembly was held.
             self.waiting.push_back(seen);
             return;
         }
@@ -170,7 +170,7 @@ impl SessionThread {
         if !then.is_empty() {
             self.perform(then);
         }
-        // What came meanwhile, unless that cannot be stored either.
+        // The frame sets that arrived meanwhile, until one of them cannot be stored either.
         while self.unstored.is_none()
             && let Some(seen) = self.waiting.pop_front()
         {
@@ -197,7 +197,7 @@ impl SessionThread {
         }
     }
 
-    /// What follows once it is stored.
+    /// Performs what follows once `what` has been stored.
     fn after(&mut self, what: UnstoredWork) {
         match what {
             UnstoredWork::Views(kept) => self.announce_observed(&kept.seen, kept.observed),
@@ -218,12 +218,12 @@ impl SessionThread {
         }
     }
 
-    /// Whether it becomes current by itself.
+    /// Whether `calibration` becomes the current one without a request.
     fn is_approved(&self, calibration: &Calibration) -> bool {
         self.auto_approve && calibration.verdict.grade == Grade::Good
     }
 
-    /// Takes no frames any more, and says why.
+    /// Pauses the session, which takes no frames any more, and announces the reason.
     fn pause(&mut self, mut unstored: Unstored, error: &StoreError) {
         let reason = format!("paused: {error}");
         let is_new = self.health.pause(&self.instrument.name, &reason);
@@ -236,7 +236,7 @@ impl SessionThread {
             return;
         }
         tracing::error!(instrument = self.instrument.name, "{reason}");
-        // Readers see the session as it was stored last, and why it does not go on.
+        // Readers see the session as it was last stored, with the reason for the pause.
         let shown = self.instrument.session.borrow().clone();
         let session = self.session.as_ref().map(Session::record);
         if let (Some(shown), Some(record)) = (shown, session)
@@ -260,7 +260,7 @@ impl SessionThread {
     }
 }
 
-/// The row of a view without a board: its features are those of its image.
+/// The row of a view without a board. It has no corners: its features are found in its image again.
 fn key_frame_row(
     session: &Session,
     place: &KeptView,
@@ -279,7 +279,7 @@ fn key_frame_row(
     Some((view, key_frame_image(searched_frame(frame_set)?)?))
 }
 
-/// The depth image that came with a key frame, as the store has it, and to solve.
+/// The depth image of a key frame, both as it is stored and as the solve needs it.
 fn key_frame_depth(
     session: &Session,
     place: &KeptView,

@@ -1,4 +1,5 @@
-//! Thread `preview-<camera>`: draws and encodes frames for whoever watches, beside everything else.
+//! Thread `preview-<camera>`: draws and encodes frames for the clients that watch, so that no other
+//! thread waits for it.
 
 use std::sync::Arc;
 

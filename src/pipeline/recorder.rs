@@ -1,5 +1,5 @@
-//! Recording beside everything else: a bounded queue from the capture thread to a thread that
-//! writes.
+//! Recording in the background: the capture thread passes frame sets through a bounded queue to a
+//! thread that writes them.
 
 use std::path::Path;
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
@@ -16,22 +16,22 @@ pub use crate::pipeline::recording_status::{RecordingState, RecordingStatus};
 use crate::recording::{McapWriter, RecordingError};
 use crate::store::error::StoreError;
 
-/// Frame sets that wait for the disk before any is dropped.
+/// The most frame sets that wait for the disk; further ones are dropped.
 const QUEUE: usize = 64;
 
-/// What a recording may still write once it is to end: the chunk in memory, of about a megabyte,
-/// and the index.
+/// What a recording may still write after it has been asked to end: the chunk in memory, of about a
+/// megabyte, and the index.
 pub(super) const UNWRITTEN_BYTES: u64 = 2_000_000;
 
-/// How often it is noted how far a recording is, in frame time.
+/// How often a recording's note on disk is updated, in frame time.
 const NOTE_EVERY_NS: i64 = 1_000_000_000;
 
-/// When a recording ends by itself.
+/// The limits at which a recording ends by itself.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct RecordingLimits {
-    /// After so many seconds of frame time. Default: never.
+    /// After this many seconds of frame time. Default: never.
     pub seconds: Option<f64>,
-    /// Once the file is so large, in bytes. Default: never.
+    /// Once the file has this size, in bytes. Default: never.
     pub bytes: Option<u64>,
 }
 
@@ -44,7 +44,7 @@ pub enum RecordError {
         /// The name that was asked for.
         camera: String,
     },
-    /// One recording a camera.
+    /// A camera has one recording at a time.
     #[error(
         "camera `{camera}` is being recorded already, as {recording}; stop that recording first"
     )]
@@ -60,7 +60,7 @@ pub enum RecordError {
         /// What the system said.
         detail: String,
     },
-    /// The disk is fuller than it may become.
+    /// Less of the disk is free than has to stay free.
     #[error("{detail}")]
     NoRoom {
         /// What is free and what is to stay free.
@@ -86,14 +86,14 @@ pub enum RecordError {
     },
 }
 
-/// Where a camera's frames go besides the detector: the newest recording since the daemon started.
+/// The link from a camera's frames to its newest recording since the daemon started.
 #[derive(Debug, Default)]
 pub(super) struct RecorderLink(Mutex<Option<Recorder>>);
 
 /// The camera that is recorded.
 pub(super) struct RecordedCamera<'a> {
     pub(super) name: &'a str,
-    /// What its device states, from its first frame on.
+    /// What its device states about its sensors, known from its first frame on.
     pub(super) factory: &'a SharedFactory,
 }
 
@@ -106,8 +106,8 @@ struct Recorder {
 }
 
 impl RecorderLink {
-    /// Begins a recording of `camera` in `folder`. `room` says what is missing where the disk's last
-    /// part, which is to stay free, is reached.
+    /// Begins a recording of `camera` in `folder`. `room` fails once no more of the disk is free
+    /// than has to stay free.
     pub(super) fn start(
         &self,
         camera: &RecordedCamera<'_>,
@@ -153,13 +153,13 @@ impl RecorderLink {
         Ok(status)
     }
 
-    /// Offers a frame set to the recording, if one goes on; waits for the disk if nothing may be
+    /// Offers a frame set to the recording, if there is one; waits for the disk if no frame may be
     /// dropped.
     pub(super) fn offer(&self, frame_set: &Arc<FrameSet>, waits: bool) {
         let recording =
             |recorder: &Recorder| Some((recorder.frames.clone()?, Arc::clone(&recorder.status)));
         let Some((frames, status)) = lock(&self.0).as_ref().and_then(recording) else { return };
-        // Whoever waits for the disk holds up nobody else.
+        // Sent after the lock was released, so that waiting for the disk blocks no other thread.
         let sent = match waits {
             true => frames.send(Arc::clone(frame_set)).map_err(|_| false),
             false => frames
@@ -177,7 +177,8 @@ impl RecorderLink {
         }
     }
 
-    /// Ends the recording and waits until its file is whole; its last status, if there is one.
+    /// Ends the recording and waits until its file is complete. Returns its last status, if there
+    /// is one.
     pub(super) fn finish(&self) -> Option<RecordingStatus> {
         let (thread, status) = {
             let mut link = lock(&self.0);
@@ -186,7 +187,7 @@ impl RecorderLink {
             (recorder.thread.take(), Arc::clone(&recorder.status))
         };
         if let Some(thread) = thread {
-            // A thread that panicked has left its status as it was.
+            // If the thread panicked, the status is as the thread left it.
             let _ = thread.join();
         }
         let status = lock(&status).clone();
@@ -229,10 +230,10 @@ fn write_all(
         }
         if now_ns.saturating_sub(*noted_ns.get_or_insert(now_ns)) >= NOTE_EVERY_NS {
             noted_ns = Some(now_ns);
-            // The recording is worth more than its note.
+            // A note that cannot be written is no reason to end the recording.
             let _ = recording_notes::write(&lock(status).clone());
         }
-        // Sessions need what is to stay free for their end.
+        // Sessions need the space that stays free in order to end.
         if let Err(full) = room() {
             outcome = Ok(Some(full.to_string()));
             break;

@@ -1,5 +1,5 @@
-//! What is noted beside each recording, so that a daemon that was killed knows after its restart
-//! what lies on disk.
+//! The note beside each recording, from which a daemon that was killed knows after its restart
+//! which recordings are on disk.
 
 use std::path::{Path, PathBuf};
 
@@ -10,7 +10,7 @@ use crate::pipeline::recording_status::{RecordingState, RecordingStatus};
 
 const ENDED_WITHOUT: &str = "the daemon ended while it was written; what was written can be read, and `plumb record --repair FILE` gives it its index";
 
-/// The recording as documents have it.
+/// The document of a recording.
 pub fn recording_document(status: &RecordingStatus) -> RecordingDocument {
     RecordingDocument {
         id: status.id.clone(),
@@ -30,7 +30,7 @@ pub fn recording_document(status: &RecordingStatus) -> RecordingDocument {
     }
 }
 
-/// Writes down how a recording stands, in place of what was written before.
+/// Writes a recording's present status in place of its previous note.
 ///
 /// # Errors
 /// What the system refuses.
@@ -42,8 +42,8 @@ pub(super) fn write(status: &RecordingStatus) -> Result<(), std::io::Error> {
     std::fs::rename(made, file)
 }
 
-/// The recordings in `folder` that have a note, newest first. One that was being written has
-/// failed, unless `is_running`.
+/// The recordings in `folder` that have a note, newest first. One whose note says that it is being
+/// recorded has failed, unless `is_running`.
 pub(super) fn read_all(folder: &Path, is_running: impl Fn(&str) -> bool) -> Vec<RecordingStatus> {
     let Ok(files) = std::fs::read_dir(folder) else { return Vec::new() };
     let paths = files.filter_map(|file| Some(file.ok()?.path()));
@@ -75,7 +75,7 @@ fn note_of(recording: &Path) -> PathBuf {
 /// `None` for a note that cannot be read, and for one whose recording is gone.
 fn read(note: &Path) -> Option<RecordingStatus> {
     let document: RecordingDocument = from_json(&std::fs::read(note).ok()?).ok()?;
-    // The folder may have been moved since.
+    // The folder may have been moved since the note was written.
     let path = note.with_extension("mcap");
     let bytes = std::fs::metadata(&path).ok()?.len();
     let (state, reason) = match document.state {

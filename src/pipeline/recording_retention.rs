@@ -10,7 +10,7 @@ use crate::pipeline::recording_status::{RecordingState, RecordingStatus};
 pub struct RecordingRetention {
     /// Recordings that began longer ago are deleted, in days.
     pub days: Option<u32>,
-    /// The newest so many are kept.
+    /// This many of the newest are kept.
     pub recordings: Option<u32>,
     /// The oldest are deleted until all together hold no more, in millions of bytes.
     pub megabytes: Option<u32>,
@@ -19,7 +19,8 @@ pub struct RecordingRetention {
 const DAY_NS: i64 = 86_400 * 1_000_000_000;
 
 impl RecordingRetention {
-    /// Those of `recordings` that are not kept, oldest first. One that goes on is kept, and counts.
+    /// Those of `recordings` that are not kept, oldest first. One that is still being recorded is
+    /// kept, and counts.
     pub(super) fn not_kept(
         &self,
         recordings: &[RecordingStatus],
@@ -45,14 +46,14 @@ impl RecordingRetention {
     }
 }
 
-/// Where recordings lie in a store's folder.
+/// The folder of recordings in a store's folder.
 pub fn recordings_folder(store: &Path) -> PathBuf {
     store.join("recordings")
 }
 
 /// Deletes the recordings in `folder` that `retention` does not keep, oldest first; with
-/// `only_list` they are named and stay. For a store that no daemon has open: each recording there
-/// has ended.
+/// `only_list` they are listed and stay. Only for a store that no daemon has open, where every
+/// recording has ended.
 ///
 /// # Errors
 /// What the system refuses.

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 pub enum RecordingState {
     /// It goes on.
     Recording,
-    /// It was stopped, or reached a limit; the file is whole.
+    /// It was stopped, or reached a limit; the file is complete.
     Finished,
     /// It could not be written any further; what was written stays readable.
     Failed,
@@ -16,7 +16,7 @@ pub enum RecordingState {
 /// A recording as seen from outside.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RecordingStatus {
-    /// Sortable by time.
+    /// Ids sort by time.
     pub id: String,
     /// The camera's name.
     pub camera: String,
@@ -28,11 +28,11 @@ pub struct RecordingStatus {
     pub reason: Option<String>,
     /// UTC, nanoseconds since the Unix epoch.
     pub started_at_ns: i64,
-    /// When it ended, likewise.
+    /// When it ended, in the same unit.
     pub finished_at_ns: Option<i64>,
     /// Frame sets written.
     pub frame_sets: u64,
-    /// Frame sets that the disk was too slow for.
+    /// Frame sets dropped because the disk was too slow.
     pub dropped: u64,
     /// The size of the file, in bytes.
     pub bytes: u64,

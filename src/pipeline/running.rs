@@ -1,4 +1,4 @@
-//! Sets one camera or rig going: its threads and what links them; and ends them.
+//! Starts and ends a camera or a rig: its threads and the links between them.
 
 use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
@@ -34,30 +34,31 @@ use crate::pipeline::stop_signal::StopSignal;
 use crate::pipeline::store_health::StoreHealth;
 use crate::store::Store;
 
-/// A camera to set going.
+/// A camera to start.
 pub struct CameraPlan {
     /// Its name in the configuration.
     pub name: String,
     /// The kind of its source, as in the configuration.
     pub kind: String,
-    /// What decides the geometry of its images, in words: a session goes on with this source only.
+    /// What determines the geometry of its images, in words: a session is resumed with this source
+    /// only.
     pub image_source: String,
     /// Opens the source.
     pub open: Box<dyn SourceOpener>,
-    /// Whether silence means that the device is lost; not so for frames on disk.
+    /// Whether silence means that the device is lost; false for frames on disk.
     pub may_stall: bool,
 }
 
-/// What of a fleet goes, by name, and what comes.
+/// Which cameras and rigs of a fleet to stop, by name, and which to start.
 #[derive(Default)]
 pub struct Exchange {
-    /// Rigs that go; their cameras are given back.
+    /// Rigs to stop; their cameras are released.
     pub stopped_rigs: Vec<String>,
-    /// Cameras that go.
+    /// Cameras to stop.
     pub stopped_cameras: Vec<String>,
-    /// Cameras that come.
+    /// Cameras to start.
     pub cameras: Vec<CameraPlan>,
-    /// Rigs that come, of cameras that are there then.
+    /// Rigs to start; their cameras are running by then.
     pub rigs: Vec<RigPlan>,
 }
 
@@ -66,9 +67,9 @@ pub struct Exchange {
 pub struct FleetOptions {
     /// Whether a `good` calibration becomes current by itself. Default: true.
     pub auto_approve: bool,
-    /// How sources are watched over.
+    /// How sources are supervised.
     pub supervision: Supervision,
-    /// What a detection must be to become a view.
+    /// The criteria for a detection to become a view.
     pub admission: AdmissionOptions,
 }
 
@@ -82,9 +83,9 @@ impl Default for FleetOptions {
     }
 }
 
-/// Frame sets on their way to the session thread; more would only be old ones.
+/// Frame sets on their way to the session thread; a longer queue would only add delay.
 const QUEUE: usize = 4;
-/// How long threads have to end.
+/// How long threads may take to end.
 const LAST_WAIT: Duration = Duration::from_millis(700);
 const GLANCE: Duration = Duration::from_millis(2);
 
@@ -170,7 +171,7 @@ pub(super) fn start_camera(
         stop: camera.stop.clone(),
         name,
     };
-    // Before the first frame, so that a replay begins with what is to be searched for.
+    // Before the first frame, so that a replay is searched from its beginning.
     let own = start_instrument(instrument, received, unfinished, shared, options)?;
     let capture = Capture {
         camera: Arc::clone(&camera),
@@ -242,8 +243,8 @@ fn start_instrument(
         session.resume(record);
     }
     let solver = Arc::clone(&instrument);
-    // Nobody waits for the solve thread: a solve that is cut short is begun again with the next
-    // start.
+    // The solve thread is not waited for: a solve that is cut short is started again with the
+    // daemon.
     spawn("solve", &instrument.name, move || solve_thread::run(&solver))?;
     let thread = spawn("session", &instrument.name, move || session.run(received))?;
     Ok(RunningInstrument { instrument, thread })
@@ -258,7 +259,7 @@ fn spawn(
     thread.map_err(|error| FleetError::Thread { name: name.to_owned(), detail: error.to_string() })
 }
 
-/// Ends the threads of `rigs` and `cameras`, all at once; one that a driver does not let go is left
+/// Ends the threads of `rigs` and `cameras`, all at once; a thread that a driver blocks is left
 /// behind.
 pub(super) fn stop(rigs: &[RunningInstrument], cameras: &[RunningCamera]) {
     for rig in rigs {
@@ -287,8 +288,8 @@ pub(super) fn stop(rigs: &[RunningInstrument], cameras: &[RunningCamera]) {
     }
 }
 
-/// Ends the threads of `cameras` while others run; blocks until those of their sessions have ended:
-/// what they store last is stored before another thread goes on with a session.
+/// Ends the threads of `cameras` while others run. Blocks until the session threads have ended, so
+/// that their last state is stored before another thread resumes a session.
 pub(super) fn stop_cameras(cameras: Vec<RunningCamera>) {
     stop(&[], &cameras);
     cameras.into_iter().for_each(|running| running.own.wait_for_end());

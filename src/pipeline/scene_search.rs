@@ -15,7 +15,7 @@ use crate::pipeline::live_frame::{FrameDetection, NoDetection};
 use crate::pipeline::seen::{frame_facts, searched_frame};
 use crate::store::Picture;
 
-/// The features of the image of a frame set that boards are searched for in.
+/// The features in a frame set's searched image: the color image, or else the infrared one.
 pub(super) fn search_scene(frame_set: &FrameSet) -> FrameDetection {
     let started = Instant::now();
     let outcome = match searched_frame(frame_set) {
@@ -29,13 +29,13 @@ pub(super) fn search_scene(frame_set: &FrameSet) -> FrameDetection {
     }
 }
 
-/// The features of a key frame's image as it was stored: those that it had when it was kept.
+/// The features of a key frame's stored image: the same ones as when it was kept.
 pub(super) fn stored_scene(name: String, image: Picture) -> Result<SceneImage, NoDetection> {
     scene_image(name, &frame_from_file(crate::imaging::frame::SensorKind::Color, image.bytes))
 }
 
-/// The image of a key frame as a file from which its features come back to the bit: as it came, or
-/// its luma without loss. `None` for a frame that cannot be decoded.
+/// A key frame's image as a file that gives exactly the same features again: the file as it came,
+/// or its luma, compressed without loss. `None` for a frame that cannot be decoded.
 pub(super) fn key_frame_image(frame: &Frame) -> Option<Picture> {
     let as_it_came = match frame.format {
         PixelFormat::Jpeg => Some("image/jpeg"),

@@ -1,4 +1,4 @@
-//! Sources that do what a test says: deliver, fall silent, vanish, break, panic, end.
+//! Sources that follow a test's script: they deliver, stall, disappear, fail, panic or end.
 
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -22,21 +22,21 @@ use crate::simulation::WorldOptions;
 use crate::store::Store;
 use crate::store::error::StoreError;
 
-/// A test that hangs has failed.
+/// A test that waits longer than this has failed.
 pub(super) const PATIENCE: Duration = Duration::from_secs(60);
 
 /// What a scripted device does next.
 pub(super) enum ScriptStep {
     Frame,
-    /// A frame that was taken so many milliseconds after the epoch.
+    /// A frame taken this many milliseconds after the epoch.
     At(i64),
     /// A frame of this size.
     Sized(ImageSize),
     Fail(CaptureError),
     Panic,
-    /// Somebody moved its focus ring.
+    /// The focus ring is moved by hand.
     Move,
-    /// From now on its driver lets go of it only when the other end is dropped.
+    /// From now on, its driver does not return from closing until the other end is dropped.
     Hold(Receiver<()>),
 }
 
@@ -44,7 +44,7 @@ pub(super) fn lost(reason: &str) -> CaptureError {
     CaptureError::Lost { device: "camera 7".to_owned(), reason: reason.to_owned() }
 }
 
-/// A device that does what it is sent, and is silent otherwise.
+/// A device that follows the steps it is sent, and delivers nothing otherwise.
 pub(super) struct Scripted {
     pub(super) steps: Receiver<ScriptStep>,
     pub(super) sequence: u64,
@@ -124,7 +124,7 @@ impl FrameSource for Scripted {
     }
 }
 
-/// A device that is plugged in: its serial number, and what it does.
+/// A device that is plugged in: its serial number, and its steps.
 pub(super) type PluggedIn = (Option<String>, Receiver<ScriptStep>);
 
 /// The test's end of a camera: what each opening gives.
@@ -171,7 +171,7 @@ pub(super) fn scripted(name: &str) -> (CameraPlan, Script) {
     (plan, Script { openings })
 }
 
-/// A simulated camera that gives each frame as soon as it is taken.
+/// A simulated camera that delivers each frame as soon as it is taken.
 pub(super) fn walking(name: &str) -> CameraPlan {
     let open = || {
         let options = WorldOptions::new(3, ImageSize::new(320, 240));
@@ -187,7 +187,7 @@ pub(super) fn walking(name: &str) -> CameraPlan {
     }
 }
 
-/// A fleet that retries at once and has patience with silence, `stall` says how much.
+/// A fleet that retries at once; `stall` is the silence that it tolerates.
 pub(super) fn fleet_of(
     plans: Vec<CameraPlan>,
     folder: &tempfile::TempDir,
@@ -196,7 +196,7 @@ pub(super) fn fleet_of(
     fleet_supervised(plans, folder, watched(stall))
 }
 
-/// Retries at once, has patience with silence as `stall` says, and with closing.
+/// Retries at once, tolerates silence as long as `stall`, and slow closing.
 pub(super) fn watched(stall: Duration) -> Supervision {
     let soon = Duration::from_millis(1);
     Supervision {
@@ -219,8 +219,8 @@ pub(super) fn fleet_supervised(
     Fleet::start(plans, Arc::new(released(folder)), &options).unwrap()
 }
 
-/// The store in `folder`. A fleet that was dropped leaves threads behind that a camera holds up;
-/// the last of them lets go of the store.
+/// The store in `folder`. A dropped fleet leaves threads behind that a camera still blocks; the
+/// store is released when the last of them ends.
 pub(super) fn released(folder: &tempfile::TempDir) -> Store {
     let end = Instant::now() + Duration::from_secs(20);
     loop {

@@ -1,11 +1,11 @@
-//! What a camera's frames are searched for at the moment, and which session has the camera.
+//! The present search in a camera's frames, and the session that has the camera.
 
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use crate::locks::lock;
 use crate::pipeline::assembly::Assembly;
 
-/// One session's search on one camera: what is found is put into the assembly.
+/// One session's search on one camera: its results go to the assembly.
 #[derive(Debug)]
 pub(super) struct CameraSearch {
     pub(super) assembly: Arc<Assembly>,
@@ -14,13 +14,13 @@ pub(super) struct CameraSearch {
 }
 
 impl PartialEq for CameraSearch {
-    /// Each session's search is another one.
+    /// Two searches are equal only if they are of the same session and camera.
     fn eq(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.assembly, &other.assembly) && self.place == other.place
     }
 }
 
-/// The search of the moment, read with every frame.
+/// The present search of a camera, read with every frame.
 #[derive(Debug, Default)]
 pub(super) struct CurrentSearch {
     state: Mutex<SearchState>,
@@ -49,7 +49,8 @@ impl CurrentSearch {
         }
     }
 
-    /// Searches from now on; `None` does not any more. Only for the session that has the camera.
+    /// Searches from now on, or no longer for `None`. Has no effect unless `session` has the
+    /// camera.
     pub(super) fn set(&self, session: &str, search: Option<Arc<CameraSearch>>) {
         let mut state = self.lock();
         if state.owner.as_deref() == Some(session) {
@@ -57,7 +58,7 @@ impl CurrentSearch {
         }
     }
 
-    /// Takes the camera back from a session; whether it had it.
+    /// Takes the camera back from a session. Returns whether the session had it.
     pub(super) fn release(&self, session: &str) -> bool {
         let mut state = self.lock();
         let had = state.owner.as_deref() == Some(session);

@@ -1,4 +1,4 @@
-//! A frame set of one camera with what was seen in it, on its way to the session.
+//! A camera's frame set with its detections, on its way to the session.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -19,24 +19,25 @@ use crate::store::Picture;
 #[derive(Debug)]
 pub(super) struct SeenFrame {
     pub(super) frame_set: Arc<FrameSet>,
-    /// When it came from its source.
+    /// When it was received from its source.
     pub(super) arrived: Instant,
-    /// Its source waits for it.
+    /// Whether its source waits for it.
     pub(super) waits: bool,
     pub(super) detection: FrameDetection,
-    /// What each of the camera's sensors gave, the searched one first; empty where nothing of it
-    /// can become a view.
+    /// The observations of the camera's sensors, the searched one first; empty where the frame set
+    /// cannot become a view.
     pub(super) sensors: Vec<SensorObservation>,
 }
 
-/// What one sensor gave in a frame set that may be kept.
+/// The observation of one sensor in a frame set that may be kept.
 #[derive(Debug, Clone)]
 pub(super) struct SensorObservation {
     pub(super) sensor: SensorKind,
     pub(super) image_size: ImageSize,
-    /// What the readings of depth mean, where the device states it.
+    /// The encoding of the depth readings, where the device states it.
     pub(super) depth_encoding: Option<DepthEncoding>,
-    /// The board in it, where it was found; the searched sensor's is the frame's.
+    /// The board in it, where it was found; that of the searched sensor is in the frame's
+    /// detection.
     pub(super) detection: Option<Detection>,
     pub(super) depth: Option<Arc<DepthImage>>,
     /// Its image as a file.
@@ -60,7 +61,7 @@ impl SensorObservation {
 }
 
 impl SeenFrame {
-    /// What the session observes of it; `stated` is what the device states of its depth sensor.
+    /// The session's input from it; `stated` is what the device states about its depth sensor.
     pub(super) fn to_camera_frame(&self, stated: Option<&FactorySensor>) -> CameraFrame {
         let seen = match &self.detection.outcome {
             Ok(content) => Ok(content.clone()),

@@ -1,4 +1,4 @@
-//! What can be asked of a camera's session, and why it may be refused.
+//! The errors of requests for a camera's session.
 
 use crate::calibration::session_record::SessionState;
 
@@ -17,7 +17,7 @@ pub enum StartError {
         /// The name that was asked for.
         rig: String,
     },
-    /// One session a camera.
+    /// A camera has one session at a time.
     #[error("`{camera}` is in session {session} already; stop or abort that one first")]
     Busy {
         /// The camera's or the rig's name.
@@ -25,13 +25,13 @@ pub enum StartError {
         /// The session that runs.
         session: String,
     },
-    /// The session could not be written down, so it was not begun.
+    /// The session could not be stored, so it was not started.
     #[error("the session could not be stored: {detail}")]
     Store {
         /// What the store said.
         detail: String,
     },
-    /// The daemon is going down.
+    /// The daemon is stopping.
     #[error("the daemon is stopping; start the session again when it is back")]
     Stopping,
 }
@@ -53,7 +53,7 @@ pub enum EndError {
         /// How it ended.
         state: SessionState,
     },
-    /// Nothing can be asked of its camera or rig, which is not configured any more.
+    /// No request is possible, because its camera or rig is no longer configured.
     #[error(
         "session {id} is of `{name}`, which is not configured any more: configure it again to go on with the session, or DELETE it"
     )]
@@ -63,13 +63,13 @@ pub enum EndError {
         /// The camera's or the rig's name.
         name: String,
     },
-    /// Its end could not be written down.
+    /// Its end could not be stored.
     #[error("the session could not be stored: {detail}")]
     Store {
         /// What the store said.
         detail: String,
     },
-    /// The daemon is going down.
+    /// The daemon is stopping.
     #[error("the daemon is stopping; the session goes on when it is back")]
     Stopping,
 }

@@ -1,8 +1,8 @@
-//! Thread `session-<instrument>`: owns the session of a camera or a rig, performs what it decides,
-//! and answers requests.
+//! Thread `session-<instrument>`: owns the session of a camera or a rig, performs its actions, and
+//! answers requests.
 //!
-//! Messages to it come through one bounded queue, in order. What a session keeps is on disk before
-//! anything of it is announced; while it cannot be stored the session is paused (`pausing`).
+//! Its messages come through one bounded queue, in order. Everything that a session keeps is on
+//! disk before it is announced; while it cannot be stored, the session is paused (`pausing`).
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -39,14 +39,14 @@ pub(super) struct SessionThread {
     pub(super) auto_approve: bool,
     pub(super) admission: AdmissionOptions,
     pub(super) session: Option<Session>,
-    /// Where the frames of the session that collects meet.
+    /// Combines the frames of the session that collects.
     pub(super) assembly: Option<Arc<Assembly>>,
     pub(super) auxiliary: AuxiliaryViews,
-    /// The calibration that held when the session began.
+    /// Watches the calibration that was current when the session began.
     pub(super) drift: Option<DriftWatch>,
     /// What could not be stored.
     pub(super) unstored: Option<Unstored>,
-    /// Of replays, what came meanwhile.
+    /// The frame sets of replays that arrived while the session was paused.
     pub(super) waiting: VecDeque<SeenFrameSet>,
 }
 
@@ -82,7 +82,7 @@ impl SessionThread {
                 self.give_up(&fault);
             }
         }
-        // Whoever waits for room in the queue is let go.
+        // Releases the threads that wait for room in the queue.
         drop(messages);
         self.instrument.jobs.close();
         self.health.go_on(&self.instrument.name);
@@ -98,8 +98,8 @@ impl SessionThread {
         }
     }
 
-    /// After a fault: what is in memory of the session may be half changed. Its stored views stay,
-    /// and its cameras are free for another one.
+    /// After a panic: the session in memory may be half changed. Its stored views stay, and its
+    /// cameras are free for another one.
     fn give_up(&mut self, fault: &str) {
         tracing::error!(instrument = self.instrument.name, "{fault}");
         self.unstored = None;
@@ -146,7 +146,7 @@ impl SessionThread {
         }
     }
 
-    /// Takes a frame set: what it keeps is stored, then it is announced.
+    /// Takes a frame set: what the session keeps of it is stored, then announced.
     pub(super) fn observe(&mut self, seen: SeenFrameSet) {
         if self.unstored.is_some() {
             self.set_aside(seen);
@@ -162,9 +162,10 @@ impl SessionThread {
         self.store_or_pause(Unstored::views(views, seen, observed));
     }
 
-    /// What is to be announced of a frame set, and done about it; what it kept is stored.
+    /// Announces a frame set and performs the resulting actions; what was kept of it is already
+    /// stored.
     pub(super) fn announce_observed(&mut self, seen: &SeenFrameSet, observed: Observed) {
-        // Who hears of the frame finds it counted in the session.
+        // A client that is notified of the frame finds it counted in the session.
         self.show();
         let Some(record) = self.session.as_ref().map(Session::record) else { return };
         let cameras = Arc::clone(&self.instrument);
@@ -189,8 +190,8 @@ impl SessionThread {
         let in_line = waits && self.estimates_decide();
         for action in observed.actions {
             match action {
-                // A replay that waits for its frames waits for this too: how fast the machine is
-                // must not decide where it ends.
+                // A replay that waits for its frames waits for the estimate too: where it ends must
+                // not depend on the speed of the machine.
                 Action::Estimate(place) if in_line => self.estimate_in_line(place),
                 other => self.perform(vec![other]),
             }
@@ -211,7 +212,7 @@ impl SessionThread {
         }
     }
 
-    /// Lets something happen to the session, if there is one, and performs what it decides.
+    /// Applies `what` to the session, if there is one, and performs the resulting actions.
     pub(super) fn let_happen(&mut self, what: impl FnOnce(&mut Session) -> Vec<Action>) {
         if let Some(session) = &mut self.session {
             let actions = what(session);
@@ -222,7 +223,7 @@ impl SessionThread {
         }
     }
 
-    /// Performs what of a session is decided; an end is stored first.
+    /// Performs the session's actions; if they end it, its state is stored first.
     pub(super) fn perform(&mut self, actions: Vec<Action>) {
         let ends = |action: &Action| matches!(action, Action::Solve | Action::Close);
         if actions.iter().any(ends) {
@@ -262,7 +263,7 @@ impl SessionThread {
         let is_rig = self.instrument.is_rig;
         let job = session.map(|s| solve_job(s, &self.auxiliary, &stated, is_rig));
         job.into_iter().for_each(|job| self.instrument.jobs.solve(job));
-        // What the job holds is all that is needed of it.
+        // The job contains all that is still needed of them.
         self.auxiliary = AuxiliaryViews::default();
         self.show_memory();
     }
@@ -293,9 +294,9 @@ impl SessionThread {
         self.session.as_ref().is_some_and(|session| session.record().id == id)
     }
 
-    /// Lets readers see the session as it stands.
+    /// Shows readers the session's present state.
     pub(super) fn show(&self) {
-        // While it cannot be stored they see it as it was stored last.
+        // While it cannot be stored, they see the state stored last.
         let Some(session) = &self.session else { return };
         if self.unstored.is_some() {
             return;
@@ -316,7 +317,7 @@ impl SessionThread {
         }
     }
 
-    /// Announces the session as it stands.
+    /// Announces the session's present state.
     pub(super) fn publish_session(&self) {
         if let Some(session) = self.session.as_ref().filter(|_| self.unstored.is_none()) {
             self.instrument.publish(EventKind::session(session.record()));

@@ -1,22 +1,23 @@
-//! How long a source may be silent before it is lost.
+//! How long a source may be silent before it counts as lost.
 
 use std::time::Duration;
 
-/// A source is lost when it is silent for so many times as long as it was between its frames.
-/// Chosen, not swept.
+/// A source that states no rate is lost when it has been silent for this many times the interval
+/// between its last frames. Chosen, not swept.
 const FRAMES_MISSED: u32 = 3;
 
-/// Frames with a longer silence between them are no pace that is waited for. Chosen, not swept.
+/// A longer interval between frames counts as this one, so that no source is waited for too long.
+/// Chosen, not swept.
 const SLOWEST: Duration = Duration::from_secs(10);
 
-/// How long a source has been silent, and was before its last frames.
+/// How long a source has been silent now, and was before its last frames.
 #[derive(Debug, Default)]
 pub(super) struct Silence {
-    /// Since the last frame, or since it was opened.
+    /// Time since the last frame, or since the source was opened.
     now: Duration,
-    /// Since the last frame, also of an opening before.
+    /// Time since the last frame, even if that came before the source was last opened.
     since_frame: Duration,
-    /// Before each of the last two frames.
+    /// Time before each of the last two frames.
     before_frames: [Duration; 2],
     delivered: bool,
 }
@@ -34,14 +35,15 @@ impl Silence {
             Self { before_frames: [last, self.since_frame], delivered: true, ..Self::default() };
     }
 
-    /// Nothing came for so long.
+    /// No frame came for the time `waited`.
     pub(super) fn went_on(&mut self, waited: Duration) {
         self.now += waited;
         self.since_frame += waited;
     }
 
-    /// How long it has been silent if that is too long: longer than `stall`, or `first_frame` after
-    /// it was opened, and than a source that states this rate may be.
+    /// The time that the source has been silent, if that is too long: longer than `stall` (or than
+    /// `first_frame` if it has delivered none since it was opened), and longer than its frame rate
+    /// explains.
     pub(super) fn too_long(
         &self,
         [stall, first_frame]: [Duration; 2],
@@ -49,7 +51,7 @@ impl Silence {
     ) -> Option<Duration> {
         let limit = if self.delivered { stall } else { first_frame };
         let five_frames = fps.map(|fps| Duration::from_secs_f64(5.0 / fps.max(1e-3)));
-        // Both, so that one silence of a source that stalled is not taken for its pace.
+        // The shorter of both, so that a single stall is not taken for the frame interval.
         let pace = self.before_frames[0].min(self.before_frames[1]).min(SLOWEST);
         let limit = limit.max(five_frames.unwrap_or(FRAMES_MISSED * pace));
         (self.now >= limit).then_some(self.now)

@@ -1,4 +1,4 @@
-//! What is computed of a session's views: how far they are, and the result.
+//! What is computed from a session's views: running estimates, and the result.
 
 use crate::calibration::result::Calibration;
 use crate::calibration::running_estimate::{EstimateSoFar, GoingOn, estimate_so_far};
@@ -16,7 +16,7 @@ use crate::geometry::pixel::ImageSize;
 use crate::geometry::target::Target;
 use crate::pipeline::guarded::guarded;
 
-/// How far the views of one camera are.
+/// A running estimate of one camera.
 #[derive(Debug)]
 pub(super) struct EstimateJob {
     pub(super) session: String,
@@ -26,17 +26,16 @@ pub(super) struct EstimateJob {
     input: EstimateInput,
 }
 
-/// What an estimate is made of.
+/// The input of an estimate.
 #[derive(Debug)]
 enum EstimateInput {
-    /// The views of a board, and what the newest estimate left to this one.
+    /// The views of a board, and what the previous estimate left for this one.
     Board(CameraProblem, Option<Box<GoingOn>>),
     /// The key frames of a scene.
     Scene(Vec<SceneImage>),
 }
 
-/// How far the views of one camera are, as it was computed; `None` while they do not determine the
-/// lens.
+/// The running estimate of one camera; `None` while the views do not determine the lens.
 #[derive(Debug)]
 pub(super) enum Estimate {
     /// Of a board.
@@ -46,7 +45,7 @@ pub(super) enum Estimate {
 }
 
 impl Estimate {
-    /// Lets the session of the camera at `place` take it.
+    /// Passes the estimate to the session, for the camera at `place`.
     pub(super) fn take_to(self, session: &mut Session, place: usize) -> Vec<Action> {
         match self {
             Self::Board(estimate) => session.estimated(place, estimate.map(|e| *e)),
@@ -56,7 +55,7 @@ impl Estimate {
 }
 
 impl EstimateJob {
-    /// Of the camera at `place`; `None` for a place that the session does not have.
+    /// The job for the camera at `place`; `None` for a place that the session does not have.
     pub(super) fn of(session: &Session, place: usize) -> Option<Self> {
         let part = session.camera(place)?;
         Some(Self {
@@ -126,11 +125,11 @@ pub(super) struct SolveJob {
     pub(super) session: String,
     pub(super) lens: LensChoice,
     pub(super) observations: SolveInput,
-    /// Ends the solve when nobody waits for it any more.
+    /// Interrupts the solve once its result is no longer needed.
     pub(super) interrupt: Interrupt,
 }
 
-/// What a session gathered.
+/// What a session has collected.
 #[derive(Debug)]
 pub(super) enum SolveInput {
     /// Of a board.
@@ -140,8 +139,8 @@ pub(super) enum SolveInput {
 }
 
 impl SolveJob {
-    /// The calibration, without the names that it gets when it is stored. Another sensor that
-    /// cannot be calibrated does not cost the color's calibration: the verdict says why it is
+    /// The calibration, without the names that it gets when it is stored. If another sensor cannot
+    /// be calibrated, the color sensor still is: the verdict gives the reason why the other is
     /// missing.
     pub(super) fn solve(&self) -> Result<Box<Calibration>, String> {
         let options = SolveOptions {

@@ -1,4 +1,4 @@
-//! Thread `solve-<instrument>`: estimates and solves beside the frames.
+//! Thread `solve-<instrument>`: computes estimates and solves, so that no frame waits for them.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -7,15 +7,15 @@ use crate::pipeline::instrument::Instrument;
 use crate::pipeline::jobs::Job;
 use crate::pipeline::message::Message;
 
-/// Does one job after the other until nobody asks any more.
+/// Does one job after the other until the queue is closed.
 pub(super) fn run(instrument: &Arc<Instrument>) {
     while let Some(job) = instrument.jobs.take() {
         let started = Instant::now();
         let answer = match job {
             Job::Solve(job) => {
                 let solved = job.solve();
-                // What was ended early says nothing of its session: that is over, or is solved
-                // again when the daemon is back.
+                // An interrupted solve is no result of its session: the session is over, or is
+                // solved again when the daemon restarts.
                 if job.interrupt.is_requested() {
                     continue;
                 }

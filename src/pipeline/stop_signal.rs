@@ -1,4 +1,4 @@
-//! How threads are asked to end, also those that are waiting.
+//! How threads are asked to end, even while they wait.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -23,7 +23,7 @@ impl StopSignal {
         *self.lock()
     }
 
-    /// Waits for `time`, less if it is set meanwhile; whether it is set.
+    /// Waits for `time`, or until the signal is set. Returns whether it is set.
     pub(super) fn wait(&self, time: Duration) -> bool {
         let until = Instant::now() + time;
         let mut set = self.lock();

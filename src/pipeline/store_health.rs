@@ -1,4 +1,4 @@
-//! Which sessions are paused because the store does not take what they keep.
+//! Which sessions are paused because their data cannot be stored.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use crate::locks::lock;
 use crate::pipeline::metrics::Metrics;
 
-/// By instrument, why its session is paused.
+/// Why a session is paused, by instrument.
 #[derive(Debug)]
 pub(super) struct StoreHealth {
     paused: Mutex<BTreeMap<String, String>>,
@@ -18,7 +18,7 @@ impl StoreHealth {
         Self { paused: Mutex::default(), metrics }
     }
 
-    /// A session of `instrument` could not store what it keeps; whether that was not known yet.
+    /// A session of `instrument` could not store its data. Returns whether this is new.
     pub(super) fn pause(&self, instrument: &str, reason: &str) -> bool {
         self.metrics.store_failures.inc();
         let mut paused = self.lock();
@@ -27,7 +27,7 @@ impl StoreHealth {
         before.as_deref() != Some(reason)
     }
 
-    /// What waited is stored; whether anything did.
+    /// Everything that waited has been stored. Returns whether the session was paused.
     pub(super) fn go_on(&self, instrument: &str) -> bool {
         let mut paused = self.lock();
         let was_paused = paused.remove(instrument).is_some();
@@ -35,7 +35,7 @@ impl StoreHealth {
         was_paused
     }
 
-    /// What is paused, and why, in words; empty while all is well.
+    /// Which sessions are paused, and why, in words; empty if none is.
     pub(super) fn reasons(&self) -> Vec<String> {
         self.lock().iter().map(|(instrument, reason)| format!("{instrument} is {reason}")).collect()
     }

@@ -1,12 +1,12 @@
-//! What the hand-overs between threads lock and wait on. `interleavings` compiles them a second
-//! time with the primitives of `shuttle` in this place, so that their tests run in many orders of
-//! their threads.
+//! The locks and condition variables that threads use to pass data to each other. `interleavings`
+//! compiles the same modules a second time with the primitives of `shuttle` in place of these, so
+//! that their tests run under many thread schedules.
 
 pub(super) use std::sync::{Condvar, Mutex, MutexGuard};
 
 pub(super) use crate::locks::{lock, unpoisoned};
 
-/// How the tests of the hand-overs run: here as any other.
+/// How these tests run here: as any other test.
 #[cfg(test)]
 pub(in crate::pipeline) mod testing {
     pub(in crate::pipeline) use std::thread;

@@ -1,4 +1,4 @@
-//! Names that nothing is configured under.
+//! Errors for names that are not configured.
 
 /// No such camera is configured.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

@@ -1,4 +1,4 @@
-//! What a session could not store, and tries again.
+//! What a session could not store, and stores again later.
 
 use std::time::Duration;
 
@@ -9,14 +9,14 @@ use crate::calibration::session::{Action, Observed};
 use crate::pipeline::message::SeenFrameSet;
 use crate::store::{Picture, SensorView};
 
-/// How soon it is tried again.
+/// Time between two attempts.
 const RETRY: Duration = Duration::from_secs(1);
 
-/// What could not be stored, and is tried again.
+/// What could not be stored, and is retried.
 #[derive(Debug)]
 pub(super) struct Unstored {
     pub(super) what: UnstoredWork,
-    /// What the session decided meanwhile.
+    /// The actions that the session decided on meanwhile.
     then: Vec<Action>,
     reason: String,
     retry_at: Instant,
@@ -27,7 +27,7 @@ pub(super) struct Unstored {
 pub(super) enum UnstoredWork {
     /// The views of a frame set.
     Views(Box<KeptFrameSet>),
-    /// The session's state, which these actions lead out of.
+    /// The session's state, stored before these actions are performed.
     Actions(Vec<Action>),
     /// The result.
     Calibration(Box<Calibration>),
@@ -42,7 +42,7 @@ pub(super) struct KeptFrameSet {
 }
 
 impl Unstored {
-    /// Something that was not tried yet.
+    /// Something that has not been tried yet.
     pub(super) fn new(what: UnstoredWork) -> Self {
         Self { what, then: Vec::new(), reason: String::new(), retry_at: Instant::now() }
     }
@@ -56,13 +56,13 @@ impl Unstored {
         Self::new(UnstoredWork::Views(Box::new(KeptFrameSet { views, seen, observed })))
     }
 
-    /// It could not be stored for `reason`; it is tried again in a while.
+    /// Storing failed for `reason`; the next attempt is after [`RETRY`].
     pub(super) fn failed(&mut self, reason: &str) {
         reason.clone_into(&mut self.reason);
         self.retry_at = Instant::now() + RETRY;
     }
 
-    /// What is to be done after it is stored.
+    /// Adds actions to perform once it has been stored.
     pub(super) fn then(&mut self, actions: Vec<Action>) {
         self.then.extend(actions);
     }

@@ -1,4 +1,4 @@
-//! The image that is kept with a view.
+//! The image that is stored with a view.
 
 use std::sync::Arc;
 
@@ -8,9 +8,9 @@ use crate::imaging::gray::GrayImage;
 
 const JPEG_QUALITY: u8 = 92;
 
-/// A frame as an image file: its media type and bytes. A file is kept as it came; anything else
-/// becomes a JPEG, for the eye, since the corners are kept with full precision beside it. `None`
-/// for a frame that cannot be decoded.
+/// A frame as an image file: its media type and bytes. A frame that is a file is kept unchanged.
+/// Any other becomes a JPEG, which is only for display: the corners are stored beside it with full
+/// precision. `None` for a frame that cannot be decoded.
 pub(super) fn view_image(frame: &Frame) -> Option<(&'static str, Arc<[u8]>)> {
     match frame.format {
         PixelFormat::Jpeg => Some(("image/jpeg", Arc::clone(&frame.bytes))),

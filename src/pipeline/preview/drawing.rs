@@ -17,7 +17,7 @@ use crate::pipeline::preview::maps::CalibrationMaps;
 use crate::pipeline::preview::registered::shaded_depth;
 
 const JPEG_QUALITY: u8 = 85;
-/// More features than this hide the image.
+/// At most this many features are drawn; more would hide the image.
 const MOST_DRAWN: usize = 300;
 
 /// A frame as a JPEG file.
@@ -30,28 +30,28 @@ pub struct Drawing {
     pub sensor: SensorKind,
     /// With the corners that were found.
     pub overlay: bool,
-    /// With the suggested pose of the board.
+    /// With the board at its suggested pose.
     pub guidance: bool,
-    /// Through the current calibration.
+    /// Undistorted with the current calibration.
     pub undistorted: bool,
-    /// As one of two parallel cameras, by the current calibration of its rig.
+    /// Rectified as one image of a stereo pair, with the current calibration of its rig.
     pub rectified: bool,
-    /// How much of what was seen an undistorted or rectified image shows: from 0, every pixel of it
-    /// is seen, to 1, all that was seen is in it.
+    /// The free scaling parameter of an undistorted or rectified image: at 0, all pixels shown are
+    /// valid, at 1, the whole source image is visible.
     pub alpha: f64,
-    /// Depth in color's image, or color in depth's.
+    /// Depth mapped into the color image, or color into the depth image.
     pub registered: bool,
 }
 
 impl Drawing {
-    /// Whether the suggested pose is drawn: it is known in color's image as it comes.
+    /// Whether the suggested pose is drawn: it is known in the unchanged color image only.
     fn has_guidance(&self) -> bool {
         let plain = !self.undistorted && !self.rectified && !self.registered;
         self.guidance && self.sensor == SensorKind::Color && plain
     }
 }
 
-/// A camera at the time of a frame, as far as a drawing needs it.
+/// The state of a camera at the time of a frame, as far as a drawing needs it.
 #[derive(Debug)]
 pub(super) struct DrawnScene<'a> {
     pub(super) camera: &'a str,
@@ -119,8 +119,8 @@ pub(super) fn encoded(
     Ok(decode::encode_jpeg_rgb(&mapped(image)?, JPEG_QUALITY).into())
 }
 
-/// Draws what an image shares with the last key frame: a line from where it was there to where it
-/// is. Without a key frame, the features.
+/// Draws the features that an image shares with the last key frame: a line from the position in the
+/// key frame to the position in the image. Without a key frame, draws all features.
 fn draw_scene(image: &mut RgbImage, features: &SceneImage, key_frame: Option<&SceneImage>) {
     let pen = Pen::fitting(image, draw::FOUND);
     let radius_px = 1.5 * pen.width_px;
@@ -137,7 +137,7 @@ fn draw_scene(image: &mut RgbImage, features: &SceneImage, key_frame: Option<&Sc
     }
 }
 
-/// What the image is shown through, if anything.
+/// The map that the image is drawn through, if any.
 fn image_map(
     drawing: Drawing,
     scene: &DrawnScene<'_>,

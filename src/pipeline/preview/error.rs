@@ -94,7 +94,7 @@ pub enum PreviewError {
 }
 
 impl PreviewError {
-    /// Whether it is of the newest frame alone: a later one may be shown.
+    /// Whether the error concerns the newest frame alone: a later one may be shown.
     pub fn is_of_one_frame(&self) -> bool {
         matches!(self, Self::NoFrame { .. } | Self::Missing { .. } | Self::Unreadable(_))
     }

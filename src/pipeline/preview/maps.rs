@@ -17,15 +17,15 @@ use crate::pipeline::preview::newest::NewestValues;
 use crate::pipeline::preview::registered::Registration;
 use crate::store::Store;
 
-/// Whose images are shown flat, and how much of them: from 0, every pixel is seen, to 1, all that
-/// was seen is there.
+/// Whose images are shown undistorted, and alpha as in OpenCV: at 0, all pixels shown are valid, at
+/// 1, the whole source image is visible.
 pub(super) type FlatView = (SensorKind, f64);
 
 /// The maps used last, of all cameras.
 #[derive(Debug)]
 pub(in crate::pipeline) struct CalibrationMaps {
     store: Arc<Store>,
-    /// By calibration, camera and view, as the next.
+    /// By calibration, camera and view; so are the rectifications.
     undistortions: NewestValues<(String, String, FlatView), PixelMap>,
     rectifications: NewestValues<(String, String, FlatView), PixelMap>,
     registrations: NewestValues<String, Registration>,
@@ -41,8 +41,8 @@ impl CalibrationMaps {
         }
     }
 
-    /// The map that undistorts a sensor's images by the current calibration of `camera`, or by that
-    /// of its rig, the first of `ids` that has the sensor's lens.
+    /// The map that undistorts a sensor's images with the current calibration of `camera` or of its
+    /// rig: the first of `ids` that contains the sensor's lens.
     ///
     /// # Errors
     /// [`PreviewError::NotCalibrated`], [`PreviewError::Store`].
@@ -69,8 +69,8 @@ impl CalibrationMaps {
         Err(none())
     }
 
-    /// The map that rectifies a sensor's images by the current calibration of the camera's rig, or
-    /// by its own, the first of `ids` that is of a stereo pair with the sensor in it.
+    /// The map that rectifies a sensor's images with the current calibration of the camera's rig or
+    /// its own: the first of `ids` that is of a stereo pair which contains the sensor.
     ///
     /// # Errors
     /// [`PreviewError::NotStereo`], [`PreviewError::Store`].
@@ -113,7 +113,7 @@ impl CalibrationMaps {
         Err(PreviewError::NotStereo { camera: camera.to_owned(), sensor, reason: why })
     }
 
-    /// How depth is brought into color's image by the calibration `id`, which is the current one of
+    /// How depth is mapped into the color image by the calibration `id`, the current one of
     /// `camera`.
     ///
     /// # Errors
@@ -148,7 +148,7 @@ impl CalibrationMaps {
     }
 }
 
-/// The lens of a sensor of `camera`, by itself or in a rig, and the size of the images it is of.
+/// The lens of a sensor of `camera`, by itself or in a rig, and the size of its images.
 fn lens_of<'a>(
     calibration: &'a Calibration,
     camera: &str,

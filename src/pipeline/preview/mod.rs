@@ -1,5 +1,5 @@
 //! What a camera sees, as JPEG: each frame is drawn and encoded once for each kind of drawing,
-//! however many watch it, and only while somebody does.
+//! however many clients watch it, and only while there is one.
 
 pub mod drawing;
 pub mod error;
@@ -23,25 +23,25 @@ use crate::pipeline::preview::maps::CalibrationMaps;
 /// The newest encoded frame, as it changes; `None` before the first.
 pub type PreviewReceiver = watch::Receiver<Option<EncodedFrame>>;
 
-/// Drawings of the newest frame that are kept, for whoever asks for the same again.
+/// How many drawings of the newest frame are kept for further requests of the same drawing.
 const KEPT_DRAWINGS: usize = 8;
 
 /// The previews of one camera.
 #[derive(Debug)]
 pub(super) struct Preview {
     maps: Arc<CalibrationMaps>,
-    /// Frames on their way to whoever watches: a newer one takes the place of an older.
+    /// Frames on their way to the clients: a newer one replaces an older.
     pub(super) slot: FrameSlot<Arc<LiveFrame>>,
     watched: Mutex<Vec<WatchedDrawing>>,
     drawn: Mutex<Vec<DrawnFrame>>,
 }
 
-/// A drawing that somebody watches.
+/// A drawing that a client watches.
 #[derive(Debug)]
 struct WatchedDrawing {
     drawing: Drawing,
     frames: watch::Sender<Option<EncodedFrame>>,
-    /// What was shown last.
+    /// The frame that was shown last.
     shown: Weak<LiveFrame>,
 }
 
@@ -60,7 +60,7 @@ pub(super) struct PreviewState {
     pub(super) camera: String,
     /// The id of the current calibration.
     pub(super) calibration: Option<String>,
-    /// That of the rig that it is in.
+    /// The id of the current calibration of its rig.
     pub(super) rig_calibration: Option<String>,
     /// The outline of the board at its suggested pose.
     pub(super) outline_px: Vec<Pixel>,
@@ -93,13 +93,13 @@ impl Preview {
         if frames.borrow().is_some() {
             frames.mark_changed();
         } else if let Some(newest) = newest {
-            // A slot that is closed belongs to a camera that goes.
+            // A closed slot belongs to a camera that is being stopped.
             let _ = self.slot.put_newest(newest);
         }
         frames
     }
 
-    /// Offers a frame to whoever watches; whether it took the place of one that was not drawn yet.
+    /// Offers a frame to the clients. Returns whether it replaced one that was not drawn yet.
     pub(super) fn offer(&self, live: &Arc<LiveFrame>) -> bool {
         let mut watched = lock(&self.watched);
         watched.retain(WatchedDrawing::is_watched);
@@ -108,7 +108,7 @@ impl Preview {
         is_watched && matches!(self.slot.put_newest(Arc::clone(live)), Ok(Some(_)))
     }
 
-    /// Shows `live` in every drawing that is watched; how many of them were drawn for it.
+    /// Shows `live` in every drawing that is watched. Returns how many drawings were made for it.
     pub(super) fn show(&self, live: &Arc<LiveFrame>, state: &PreviewState) -> u64 {
         let mut drawn = 0;
         let is_wanted = |known: &&WatchedDrawing| known.is_watched() && !is_of(&known.shown, live);
@@ -134,7 +134,7 @@ impl Preview {
         drawn
     }
 
-    /// One drawing of a frame, and whether it was drawn for this call.
+    /// One drawing of a frame, and whether it was made for this call.
     ///
     /// # Errors
     /// [`PreviewError`].
@@ -144,7 +144,7 @@ impl Preview {
         drawing: Drawing,
         state: &PreviewState,
     ) -> Result<(EncodedFrame, bool), PreviewError> {
-        // Held while it is drawn: whoever asks for the same meanwhile gets this one.
+        // Locked while drawing: a request for the same drawing meanwhile gets this one.
         let mut drawn = lock(&self.drawn);
         let is_same = |known: &&DrawnFrame| {
             is_of(&known.of, live) && known.drawing == drawing && known.state == *state

@@ -1,13 +1,13 @@
-//! A few costly values, kept for whoever needs them next.
+//! A small cache of values that are costly to compute.
 
 use std::sync::{Arc, Mutex};
 
 use crate::locks::lock;
 
-/// How many are kept; each takes some bytes for every pixel of its image.
+/// How many values are kept; each takes some bytes for every pixel of its image.
 const KEPT: usize = 4;
 
-/// The values made last, by what they were made for, the newest last.
+/// The values computed last with their keys, the newest last.
 #[derive(Debug)]
 pub(super) struct NewestValues<K, V>(Mutex<Vec<(K, Arc<V>)>>);
 
@@ -18,7 +18,7 @@ impl<K, V> Default for NewestValues<K, V> {
 }
 
 impl<K: PartialEq, V> NewestValues<K, V> {
-    /// The value for `key`; one that is not there is made, in place of the oldest.
+    /// The value for `key`; a missing one is computed and replaces the oldest.
     ///
     /// # Errors
     /// Those of `make`.

@@ -1,4 +1,4 @@
-//! Depth in color's image and color in depth's, by a camera's current calibration.
+//! Depth in the color image and color in the depth image, by a camera's current calibration.
 
 use image::RgbImage;
 
@@ -11,7 +11,7 @@ use crate::imaging::frame::{FrameSet, SensorKind};
 use crate::imaging::registration::DepthRegistration;
 use crate::pipeline::preview::error::PreviewError;
 
-/// How depth of a calibrated camera is brought into color's image.
+/// How depth of a calibrated camera is mapped into the color image.
 #[derive(Debug)]
 pub(super) struct Registration {
     pub(super) map: DepthRegistration,
@@ -21,7 +21,7 @@ pub(super) struct Registration {
 }
 
 impl Registration {
-    /// Depth in color's image: its edges drawn over color, or by itself.
+    /// Depth in the color image: its edges drawn over color, or by itself.
     pub(super) fn depth_in_color(
         &self,
         frames: &FrameSet,
@@ -42,7 +42,7 @@ impl Registration {
         Ok(image)
     }
 
-    /// Color in depth's image.
+    /// Color in the depth image.
     pub(super) fn color_in_depth(&self, frames: &FrameSet) -> Result<RgbImage, PreviewError> {
         let depths = self.depths(frames)?;
         Ok(self.map.color_in_depth(&depths, &self.color(frames)?))
@@ -69,7 +69,8 @@ impl Registration {
     }
 }
 
-/// Depth as it comes, near bright and far dark; readings are taken as millimeters.
+/// The depth image without registration, near bright and far dark; readings are taken as
+/// millimeters.
 pub(super) fn shaded_depth(frames: &FrameSet) -> Result<RgbImage, PreviewError> {
     let image = raw_depth(frames)?;
     let depths: Vec<f32> =
