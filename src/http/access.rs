@@ -1,4 +1,4 @@
-//! Who may ask: the bearers of tokens, known by a header or by the session of their browser.
+//! Access control: requests are authorized by a token in a header, or by a browser session.
 
 use std::sync::{Arc, RwLock};
 use std::time::{Duration, Instant};
@@ -13,29 +13,30 @@ use crate::http::problem::Problem;
 use crate::http::tokens::{AccessTokens, TokenRole};
 use crate::locks::{read, write};
 
-/// Wrong tokens that wait for their answer at once; more are refused without being compared.
+/// How many wrong tokens may wait for their answer at once; further ones are refused without a
+/// comparison.
 const GUESSES: usize = 8;
-/// How long the answer to a wrong token takes: eight at once are then 32 a second.
+/// The delay of the answer to a wrong token: with eight at once, 32 a second can be tried.
 const GUESS_TIME: Duration = Duration::from_millis(250);
 
-/// Who may ask: the bearers of tokens, or everyone who reaches the address.
+/// Who has access: the bearers of tokens, or everyone who can reach the address.
 #[derive(Debug)]
 pub struct Access {
-    /// `None` lets everyone in, which only a loopback address allows.
+    /// `None` gives everyone access, which is only allowed on a loopback address.
     tokens: RwLock<Option<Arc<AccessTokens>>>,
     sessions: BrowserSessions,
-    /// Cookies are shared by all ports of a host, so the cookie's name has the port.
+    /// All ports of a host share their cookies, so the name of the cookie contains the port.
     cookie_name: String,
-    /// Whether connections are secured: the cookie is then sent over such ones alone.
+    /// Whether TLS is used: then the cookie is sent over TLS only.
     is_secured: bool,
     guesses: Semaphore,
-    /// Changes whenever the tokens do.
+    /// Signals that the tokens were replaced.
     replaced: watch::Sender<()>,
 }
 
 impl Access {
-    /// For a daemon that listens on `port`, by TLS if `is_secured`; without `tokens`, everyone may
-    /// ask.
+    /// For a daemon that listens on `port`, with TLS if `is_secured`; without `tokens`, everyone
+    /// has access.
     pub fn new(tokens: Option<AccessTokens>, port: u16, is_secured: bool) -> Self {
         Self {
             tokens: RwLock::new(tokens.map(Arc::new)),
@@ -47,23 +48,23 @@ impl Access {
         }
     }
 
-    /// From now on these tokens are good, and no others: sessions of browsers end with their token.
+    /// Replaces the tokens. Browser sessions end with their token.
     pub fn replace(&self, tokens: Option<AccessTokens>) {
         *write(&self.tokens) = tokens.map(Arc::new);
         self.replaced.send_replace(());
     }
 
-    /// Resolves when whoever asked with these headers may not ask any more.
+    /// Resolves when a client with these headers no longer has access.
     pub(super) async fn withdrawn(&self, headers: &HeaderMap) {
         let mut replaced = self.replaced.subscribe();
         loop {
-            // Without tokens everyone may ask.
+            // Without tokens, everyone has access.
             let is_known =
                 |tokens: Arc<AccessTokens>| matches!(self.bearer(&tokens, headers), Bearer::Of(_));
             if !self.tokens().is_none_or(is_known) {
                 return;
             }
-            // The sender is this one's own.
+            // The sender is owned by `self`, so this cannot fail.
             let _ = replaced.changed().await;
         }
     }
@@ -72,9 +73,9 @@ impl Access {
         read(&self.tokens).clone()
     }
 
-    /// What the request says of who asks.
+    /// The client that a request comes from, according to its headers.
     pub(super) fn bearer(&self, tokens: &AccessTokens, headers: &HeaderMap) -> Bearer {
-        // The scheme's name is the same in any case (RFC 9110, 11.1).
+        // The scheme's name is case-insensitive (RFC 9110, 11.1).
         let given = headers.get(AUTHORIZATION).and_then(|value| {
             let (scheme, token) = value.to_str().ok()?.split_once(' ')?;
             scheme.eq_ignore_ascii_case("bearer").then_some(token.trim())
@@ -92,7 +93,7 @@ impl Access {
         token.map_or(Bearer::None, |token| Bearer::Of(token.role))
     }
 
-    /// Opens a browser's session for the bearer of `given`, and sends it to the page.
+    /// Opens a browser session for the bearer of `given`, and redirects the browser to the page.
     pub(super) fn open_session(&self, tokens: &AccessTokens, given: &str) -> Option<Response> {
         let number = self.sessions.open(tokens.of_bearer(given)?.hash, Instant::now())?;
         let secure = if self.is_secured { "; Secure" } else { "" };
@@ -102,7 +103,7 @@ impl Access {
         Some((StatusCode::SEE_OTHER, headers).into_response())
     }
 
-    /// The answer to a wrong token, after a while; while many wait for theirs, at once.
+    /// The answer to a wrong token, after a delay; if too many wait already, at once.
     pub(super) async fn refuse_guess(&self) -> Problem {
         let Ok(_place) = self.guesses.try_acquire() else {
             return Problem::too_many("too many wrong tokens; wait a moment");
@@ -112,14 +113,14 @@ impl Access {
     }
 }
 
-/// Who asks.
+/// The client that a request comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Bearer {
     /// The bearer of a token of this role.
     Of(TokenRole),
-    /// A token that is not known.
+    /// A token that does not exist.
     Unknown,
-    /// No token, or a browser's session that has ended.
+    /// No token, or a browser session that has ended.
     None,
 }
 

@@ -1,4 +1,4 @@
-//! The board as a calibration measured it, as an image.
+//! The board as measured by a calibration, as an image.
 
 use std::sync::Arc;
 

@@ -1,8 +1,9 @@
-//! Large bodies: how much of memory all of them together may take, and how slow one may be.
+//! Large request bodies: the memory that all of them together may use, and the time that each may
+//! take.
 //!
-//! What of a body has come is counted, not what its head announces: a client that announces much
-//! and sends little takes room from nobody. A body that finds no room is refused at once and its
-//! memory given back, so that none ever waits for another.
+//! Only the bytes of a body that have arrived are counted, not the length that its head announces:
+//! a client that announces much and sends little takes no memory from others. A body that does not
+//! fit is refused at once and its memory released, so that no body waits for another.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,23 +15,23 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use crate::http::problem::Problem;
 
-/// All bodies together, in bytes: of which [`FREE`] of each are not counted.
+/// The memory for all bodies together, in bytes; the first [`FREE`] bytes of each are not counted.
 const ALL: usize = 48 << 20;
-/// So much of each body has room in any case, in bytes: an ordinary problem is smaller.
+/// Bytes of each body that always fit: an ordinary problem is smaller.
 const FREE: usize = 256 << 10;
-/// So much of a body that is too large is read and thrown away, so that its sender gets to read the
-/// refusal.
+/// Bytes of a body that is too large which are read and discarded, so that its sender gets to read
+/// the refusal.
 const DRAINED: usize = 256 << 20;
 /// How long a body may take to arrive.
 const BODY_TIME: Duration = Duration::from_secs(60);
-/// How long nothing of it may come.
+/// How long a body may stall.
 const SILENCE: Duration = Duration::from_secs(10);
 
-/// The room that there is for bodies.
+/// The remaining memory for bodies.
 #[derive(Debug)]
 pub(super) struct Bodies(Arc<Semaphore>);
 
-/// A body that has come to its end, and the room that it takes until it is dropped.
+/// A complete body, with the memory reserved for it until it is dropped.
 #[derive(Debug)]
 pub(super) struct HeldBody {
     pub(super) bytes: Vec<u8>,
@@ -42,7 +43,7 @@ impl Bodies {
         Self(Arc::new(Semaphore::new(ALL)))
     }
 
-    /// Room for `more` bytes of a body whose length is then `length`.
+    /// Reserves memory for `more` bytes of a body, whose length is then `length`.
     fn room(&self, length: usize, more: usize) -> Result<Option<OwnedSemaphorePermit>, Problem> {
         let counted = length.saturating_sub(FREE).min(more);
         let Ok(counted) = u32::try_from(counted) else { return Err(full()) };
@@ -59,11 +60,11 @@ fn full() -> Problem {
     )
 }
 
-/// The body, of at most `limit` bytes, in what room there is.
+/// Reads the body, of at most `limit` bytes, if it fits into the remaining memory.
 ///
 /// # Errors
-/// 413 for more than `limit`, 408 for one that does not come to its end, 400 for one that is cut
-/// off, 503 where `bodies` have no room for it.
+/// 413 for more than `limit`, 408 for one that does not arrive in time, 400 for one that is cut
+/// off, 503 where `bodies` have no memory for it.
 pub(super) async fn body(
     request: Request,
     limit: usize,

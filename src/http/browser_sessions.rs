@@ -1,4 +1,4 @@
-//! What a browser carries in place of a token: the number of its session, in a cookie.
+//! Browser sessions: a browser sends the number of its session in a cookie, instead of a token.
 
 use std::sync::{Mutex, MutexGuard};
 use std::time::{Duration, Instant};
@@ -6,13 +6,13 @@ use std::time::{Duration, Instant};
 use crate::http::tokens::TokenHash;
 use crate::locks::lock;
 
-/// Sessions that are open at once: one for each browser that opened the page; the oldest makes
-/// room.
+/// How many sessions may be open at once: one for each browser that opened the page. A new one
+/// replaces the oldest.
 const MOST: usize = 256;
-/// How long a session lasts: a week of work.
+/// How long a session lasts: one week.
 const LASTS: Duration = Duration::from_secs(7 * 24 * 3600);
 
-/// The sessions of browsers. They end with the daemon, and with their token.
+/// The open sessions of browsers. They end with the daemon, and with their token.
 #[derive(Debug, Default)]
 pub(super) struct BrowserSessions(Mutex<Vec<BrowserSession>>);
 
@@ -24,8 +24,8 @@ struct BrowserSession {
 }
 
 impl BrowserSessions {
-    /// Opens a session of the bearer of `token`; its number, or `None` where the system has no
-    /// random numbers.
+    /// Opens a session of the bearer of `token`. Returns its number, or `None` where the system has
+    /// no random numbers.
     pub(super) fn open(&self, token: TokenHash, now: Instant) -> Option<String> {
         let mut random = [0_u8; 32];
         getrandom::fill(&mut random).ok()?;
@@ -39,7 +39,7 @@ impl BrowserSessions {
         Some(number)
     }
 
-    /// Whose session it is.
+    /// The token that the session belongs to.
     pub(super) fn token_of(&self, number: &str, now: Instant) -> Option<TokenHash> {
         let sessions = self.lock();
         let session = sessions.iter().find(|session| is_same(&session.number, number))?;
@@ -51,7 +51,7 @@ impl BrowserSessions {
     }
 }
 
-/// Compares in a time that does not reveal how much was right.
+/// Compares in a time that does not depend on how much is equal.
 fn is_same(one: &str, other: &str) -> bool {
     let (one, other) = (one.as_bytes(), other.as_bytes());
     one.len() == other.len()

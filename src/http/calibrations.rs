@@ -1,4 +1,4 @@
-//! Calibrations: the current one of a camera in any format, the history, approval.
+//! Calibrations: a camera's current one in any format, the history, approval.
 
 use std::sync::Arc;
 
@@ -87,8 +87,8 @@ pub(super) async fn current(
     current_of(&shared, &format!("camera `{camera}`"), &camera, parameters).await
 }
 
-/// The current calibration of the camera or rig `name`, in the format that is asked for; `who` is
-/// what to call it.
+/// The current calibration of the camera or rig `name`, in the requested format; `who` is its name
+/// in messages.
 pub(super) async fn current_of(
     shared: &Shared,
     who: &str,
@@ -152,7 +152,7 @@ pub(super) async fn history(
     history_of(&shared, camera, &path, &page).await
 }
 
-/// What part is asked for of the calibrations of the camera or rig `name`, newest first.
+/// The requested part of the calibrations of the camera or rig `name`, newest first.
 pub(super) async fn history_of(
     shared: &Shared,
     name: String,
@@ -228,7 +228,7 @@ pub(super) async fn calibration(shared: &Shared, id: &str) -> Result<Calibration
     })
 }
 
-/// The calibration for images of another resolution or a part of them, where that is asked for.
+/// The calibration, converted to another resolution or to a part of the images if requested.
 fn for_asked_images(
     calibration: &Calibration,
     parameters: &ExportParameters,
@@ -244,7 +244,7 @@ fn for_asked_images(
         }
     };
     let crop = parameters.crop;
-    // Two names are of a stereo format, for images of both.
+    // Two names are for a stereo format, and apply to the images of both.
     let sensor = parameters.sensor.clone().filter(|names| !names.contains(','));
     let other = OtherImages { crop, size, sensor };
     let field = |error: &OtherImagesError| match error {
@@ -259,7 +259,7 @@ fn for_asked_images(
         .map_err(|error| Problem::field(field(&error), &error.to_string()))
 }
 
-/// The calibration as it is asked for. A map for rectified images takes a while to compute.
+/// The calibration in the requested format. A map for rectified images takes a while to compute.
 async fn written(
     calibration: Calibration,
     parameters: ExportParameters,
@@ -269,7 +269,7 @@ async fn written(
     let Exported { bytes, media_type, file_name, note, .. } = exported.await??;
     let mut response = ([(CONTENT_TYPE, media_type)], bytes).into_response();
     let mut set = |name: HeaderName, value: &str| {
-        // A name that no header can hold is one that the browser may choose itself.
+        // If a header cannot contain the name, the browser chooses one itself.
         if let Ok(value) = HeaderValue::from_str(value) {
             response.headers_mut().insert(name, value);
         }

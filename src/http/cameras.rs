@@ -1,4 +1,4 @@
-//! The configured cameras and what they are doing.
+//! The configured cameras and their states.
 
 use std::sync::Arc;
 

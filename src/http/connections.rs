@@ -1,9 +1,9 @@
-//! Which connections are open, who is let in when there are many, and who has to go.
+//! The open connections: which are accepted when there are many, and which are closed.
 //!
-//! Everyone is accepted. With [`CONNECTIONS`] open, or too many from one address, whoever has been
-//! silent for longest makes room: silent clients, and readers that do not read, therefore keep
-//! nobody out. Where all are being answered, a newcomer is answered only about health, and above
-//! [`CONNECTIONS`] + [`FOR_HEALTH`] nobody is let in.
+//! Every connection is accepted. With [`CONNECTIONS`] open, or too many from one address, the one
+//! that has been silent for longest is closed; silent clients, and clients that do not read, can
+//! therefore keep no other out. If all are being answered, a new client is only answered about
+//! health. Above [`CONNECTIONS`] + [`FOR_HEALTH`], no connection is accepted.
 
 use std::io;
 use std::net::{IpAddr, SocketAddr};
@@ -22,11 +22,11 @@ use crate::locks::lock;
 
 /// How many connections are open at once.
 const CONNECTIONS: usize = 256;
-/// How many more, for questions about health alone.
+/// How many more, for requests about health only.
 const FOR_HEALTH: usize = 32;
-/// How many of them from one address; this machine itself may have all.
+/// How many connections from one address; this machine itself may have all of them.
 const FROM_ADDRESS: usize = 64;
-/// How long a client may take none of what is written to it.
+/// How long a client may go without reading what is written to it.
 const WRITE_TIME: Duration = Duration::from_secs(20);
 
 /// The open connections.
@@ -36,16 +36,16 @@ pub(super) struct Connections {
     open: Mutex<Vec<Arc<OpenConnection>>>,
 }
 
-/// One of them.
+/// An open connection.
 #[derive(Debug)]
 pub(super) struct OpenConnection {
     address: IpAddr,
-    /// Whether it is answered about health alone.
+    /// Whether it is answered about health only.
     pub(super) is_crowded: bool,
     since: Instant,
-    /// Requests that are being answered.
+    /// The number of requests that are being answered.
     answering: AtomicUsize,
-    /// When it was last read from or written to, in milliseconds since the start.
+    /// When it was last active, in milliseconds since the start.
     active_ms: AtomicU64,
     evicted: Notify,
 }
@@ -59,8 +59,8 @@ impl Connections {
         Self { since: Instant::now(), open: Mutex::default() }
     }
 
-    /// Lets a client in, in place of a silent one where there are too many; `None` where all are
-    /// being answered and even those for health are taken.
+    /// Accepts a client; if there are too many, a silent one is closed for it. `None` if all are
+    /// being answered and those reserved for health are taken too.
     pub(super) fn admit(&self, client: SocketAddr) -> Option<Arc<OpenConnection>> {
         let address = client.ip().to_canonical();
         let mut open = self.lock();
@@ -96,7 +96,7 @@ impl Connections {
         Some(connection)
     }
 
-    /// A connection has ended.
+    /// Removes a connection that has ended.
     pub(super) fn remove(&self, connection: &Arc<OpenConnection>) {
         self.lock().retain(|known| !Arc::ptr_eq(known, connection));
     }
@@ -107,13 +107,13 @@ impl Connections {
 }
 
 impl OpenConnection {
-    /// A request is being answered until the value is dropped.
+    /// Marks the connection as answering a request until the returned value is dropped.
     pub(super) fn answering(self: &Arc<Self>) -> Answering {
         self.answering.fetch_add(1, Ordering::Relaxed);
         Answering(Arc::clone(self))
     }
 
-    /// Resolves when it has to make room.
+    /// Resolves when the connection is to be closed for another.
     pub(super) async fn evicted(&self) {
         self.evicted.notified().await;
     }
@@ -138,13 +138,13 @@ fn milliseconds(since: Instant) -> u64 {
     u64::try_from(since.elapsed().as_millis()).unwrap_or(u64::MAX)
 }
 
-/// A connection's bytes: notes when any go through, and fails once the client has taken none of
-/// what is written for [`WRITE_TIME`].
+/// A connection's stream: it records activity, and fails once the client has read nothing for
+/// [`WRITE_TIME`] while there was something to write.
 #[derive(Debug)]
 pub(super) struct WatchedStream<S> {
     stream: S,
     connection: Arc<OpenConnection>,
-    /// Until when a write that waits may wait.
+    /// The time limit of a write that is waiting.
     deadline: Option<Pin<Box<Sleep>>>,
 }
 
@@ -153,7 +153,7 @@ impl<S> WatchedStream<S> {
         Self { stream, connection, deadline: None }
     }
 
-    /// Passes on what became of a write; one that waits too long has failed.
+    /// Returns the result of a write; one that has waited too long fails.
     fn watched<T>(
         &mut self,
         context: &mut Context<'_>,
@@ -172,7 +172,7 @@ impl<S> WatchedStream<S> {
 }
 
 impl WatchedStream<TcpStream> {
-    /// The first byte that has come, which stays to be read.
+    /// The first byte received, which is left in the stream.
     pub(super) async fn first_byte(&mut self) -> io::Result<u8> {
         let mut first = [0];
         match self.stream.peek(&mut first).await? {

@@ -1,4 +1,4 @@
-//! What happens, as it happens: server-sent events that can be resumed.
+//! Server-sent events, which can be resumed.
 
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -27,7 +27,7 @@ use crate::pipeline::event::{
 
 /// How long a client waits before it connects again.
 const RETRY: Duration = Duration::from_secs(1);
-/// How often a silent connection is shown to be alive.
+/// The interval of keep-alive messages on a silent connection.
 const KEEP_ALIVE: Duration = Duration::from_secs(10);
 
 /// Server-sent events: `frame`, `detection`, `session`, `calibration`, `camera`, `drift`. Each has
@@ -54,7 +54,7 @@ pub(super) async fn follow(
     {
         shared.fleet.camera(camera)?;
     }
-    // An id that is none of ours counts as no id, as the standard's clients expect.
+    // An id that cannot be read counts as no id, as clients expect from the standard.
     let last_seen =
         headers.get("last-event-id").and_then(|id| id.to_str().ok()?.trim().parse().ok());
     let stream = futures_util::stream::unfold(

@@ -1,4 +1,4 @@
-//! What a camera's lens keeps sharp, and which board suits it.
+//! The depth of field of a camera's lens, and the board that suits it.
 
 use std::sync::Arc;
 
@@ -98,8 +98,8 @@ pub(super) async fn focus(
     Ok(Json(FocusDocument::new(&lens, blur_px, board)))
 }
 
-/// The focal length that makes the calibrated one in pixels, at this focus: 1/f = 1/(fx · pixel) +
-/// 1/focus.
+/// The focal length for which the calibrated one in pixels results at this focus distance: 1/f =
+/// 1/(fx · pixel) + 1/focus.
 async fn calibrated_focal_m(
     shared: &Shared,
     calibration: Option<String>,

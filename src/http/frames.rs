@@ -83,10 +83,11 @@ pub(super) async fn frame(
     Ok((stale, [(CONTENT_TYPE, "image/jpeg")], Bytes::from_owner(jpeg)).into_response())
 }
 
-/// Says of an answer by the newest frame of `camera` why the camera gives nothing newer now.
+/// A header for an answer with the newest frame of `camera`: the reason why the camera delivers
+/// nothing newer at present.
 pub(super) fn stale(shared: &Shared, camera: &str) -> HeaderMap {
     let reason = shared.fleet.why_nothing_newer(camera);
-    // A header holds printable ASCII alone.
+    // A header may contain printable ASCII only.
     let printable = |reason: String| reason.replace(|c: char| !(' '..='~').contains(&c), "?");
     let reason = reason.and_then(|reason| HeaderValue::from_str(&printable(reason)).ok());
     reason.map(|reason| (HeaderName::from_static("plumb-stale"), reason)).into_iter().collect()
@@ -132,14 +133,14 @@ pub(super) async fn preview(
     Ok(([(CONTENT_TYPE, media_type)], body).into_response())
 }
 
-/// The next frame that can be shown; a slow viewer skips those in between.
+/// The next frame that can be shown; a slow client skips those in between.
 async fn next_part(frames: &mut PreviewReceiver) -> Option<[Bytes; 3]> {
     loop {
         frames.changed().await.ok()?;
         let Some(jpeg) = frames.borrow_and_update().clone() else { continue };
         let head = format!("Content-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n", jpeg.len());
-        // A browser shows an image when it meets the boundary after it: it is not kept waiting
-        // for the next one.
+        // A browser shows an image only once it has received the boundary after it, so that is sent
+        // now and not with the next frame.
         let tail = format!("\r\n--{BOUNDARY}\r\n");
         return Some([head.into(), Bytes::from_owner(jpeg), tail.into()]);
     }
@@ -165,7 +166,7 @@ fn drawing(asked: &DrawingParameters, overlay: bool) -> Result<Drawing, Problem>
     })
 }
 
-/// Whether the sensor is to be shown in the other one's image.
+/// Whether the sensor is to be shown registered to the other one's image.
 fn registered(asked: &DrawingParameters, sensor: SensorKind) -> Result<bool, Problem> {
     let Some(to) = asked.registered else { return Ok(false) };
     if asked.rectified == Some(true) {

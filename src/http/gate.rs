@@ -1,5 +1,5 @@
-//! Lets requests in: with tokens, those of their bearers, each as far as its role goes; without,
-//! those of this machine, and of no page of another site in its browser.
+//! Checks every request. With tokens, it must come from the bearer of one whose role is sufficient.
+//! Without tokens, it must come from this machine, and not from another site's page in its browser.
 
 use std::net::IpAddr;
 use std::sync::Arc;
@@ -15,7 +15,7 @@ use crate::http::problem::Problem;
 use crate::http::shared::Shared;
 use crate::http::tokens::TokenRole;
 
-/// Lets a request through, or refuses it.
+/// Passes a request on, or refuses it.
 pub(super) async fn check(
     State(shared): State<Arc<Shared>>,
     request: Request,
@@ -55,11 +55,11 @@ pub(super) async fn check(
     }
 }
 
-/// Refuses what a page of another site sends: by its `Origin` for requests that change something,
-/// and by a `Host` that is a foreign name where no token protects (a foreign name that was made to
-/// point here).
+/// Refuses requests from pages of other sites: by `Origin` if the request changes something; and,
+/// where no token is required, by a `Host` that is not local, because another site's name may have
+/// been made to resolve to this address (DNS rebinding).
 fn same_site(method: &Method, headers: &HeaderMap, has_token: bool) -> Result<(), Problem> {
-    // RFC 9112, 3.2: none, or several, are answered by 400.
+    // RFC 9112, 3.2: a request with no `Host`, or several, is answered with 400.
     if headers.get_all(HOST).iter().count() != 1 {
         return Err(Problem::new(StatusCode::BAD_REQUEST, "one `Host` header is needed; send one"));
     }

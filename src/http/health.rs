@@ -1,4 +1,4 @@
-//! Is it alive, is it ready, what has it counted.
+//! Health, readiness and metrics of the daemon.
 
 use std::sync::Arc;
 

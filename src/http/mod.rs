@@ -1,9 +1,9 @@
-//! The daemon's face: routes in `router`, one file a resource. Uses geometry, imaging,
-//! estimation, calibration, document, export, store and pipeline; never a camera.
+//! The HTTP interface of the daemon: routes in `router`, one file for each resource. Uses geometry,
+//! imaging, estimation, calibration, document, export, store and pipeline; never a camera.
 //!
-//! Every answer is read from the newest state; only a `stop` waits, and only for its solve. Every
-//! refusal, of whatever cause, is a [`problem::Problem`]. A request can be too large, too slow or
-//! too many, never fatal.
+//! Every answer is computed from the newest state; only a `stop` waits, and only for its solve.
+//! Every error, whatever its cause, is a [`problem::Problem`]. No request can bring the daemon
+//! down: those that are too large, too slow or too many are refused.
 
 mod access;
 mod board;

@@ -1,4 +1,4 @@
-//! The OpenAPI 3.1 document, made of the routes' own descriptions.
+//! The OpenAPI 3.1 document, generated from the descriptions of the routes.
 
 use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityScheme};
 use utoipa::openapi::{ContentBuilder, Ref, Response, ResponseBuilder};
@@ -79,7 +79,7 @@ struct Description;
 /// What every operation may answer before it is asked, and how a client is known.
 struct GateRefusals;
 
-/// What the daemon answers in place of any operation: the status, and why.
+/// The errors that the daemon may answer for any operation: status, and reason.
 const REFUSALS: [(&str, &str); 6] = [
     ("400", "no `Host`, or several; or a query that cannot be read"),
     ("401", "no token, or one that is not known"),

@@ -12,7 +12,7 @@ use crate::http::request::Address;
 const STYLE: &str = include_str!("page/style.css");
 const SCRIPT: &str = include_str!("page/script.js");
 
-/// The page, with a choice for every lens model.
+/// The page, with one option for each lens model.
 static INDEX: LazyLock<String> = LazyLock::new(|| {
     let choice = |model: LensModel| {
         let (name, summary) = (model.name(), model.facts().summary);
@@ -22,7 +22,7 @@ static INDEX: LazyLock<String> = LazyLock::new(|| {
     include_str!("page/index.html").replace("<!-- lens models -->", &choices)
 });
 
-/// Everything from here, nothing from elsewhere.
+/// Everything is loaded from this daemon, nothing from other sites.
 const POLICY: &str =
     "default-src 'self'; img-src 'self' data: blob:; frame-ancestors 'none'; base-uri 'none'";
 
@@ -34,7 +34,7 @@ pub(super) async fn index() -> impl IntoResponse {
     )
 }
 
-/// Its parts.
+/// The files that the page loads.
 pub(super) async fn file(Address(name): Address<String>) -> Result<impl IntoResponse, Problem> {
     let (media_type, text) = match name.as_str() {
         "style.css" => ("text/css; charset=utf-8", STYLE),

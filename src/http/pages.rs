@@ -1,7 +1,7 @@
-//! Lists page by page: which part of a list is asked for, and where the next one is.
+//! Lists in pages: the requested part of a list, and the address of the next one.
 //!
-//! Without `limit` these lists come whole, as they always have; `GET /v1/sessions` alone has pages
-//! unless it is asked for more.
+//! Without `limit`, these lists are returned whole, as they have always been; only `GET
+//! /v1/sessions` has pages by default.
 
 use axum::http::header::LINK;
 use axum::http::{HeaderMap, HeaderValue};
@@ -9,7 +9,7 @@ use axum::http::{HeaderMap, HeaderValue};
 use crate::http::problem::Problem;
 use crate::http::request::{Parameters, ReadQuery};
 
-/// The most that a page may have.
+/// The largest number of items on a page.
 const LARGEST_PAGE: u32 = 1000;
 
 /// Which part of a list is asked for.
@@ -50,11 +50,11 @@ pub(super) fn page_limit(parameters: &Parameters) -> Result<Option<u32>, Problem
 }
 
 impl PageParameters {
-    /// The part of `all` that is asked for, and the header with the address of the next one; `path`
-    /// is the list's address, and `id_of` what a cursor calls an item.
+    /// The requested part of `all`, and the header with the address of the next one; `path` is the
+    /// list's address, and `id_of` gives an item's cursor.
     ///
     /// # Errors
-    /// 404 for a cursor that is none of them.
+    /// 404 for a cursor that is not in the list.
     pub(super) fn of<T>(
         &self,
         path: &str,
@@ -79,7 +79,7 @@ impl PageParameters {
     /// The header with the address of the page after `last`, where there is one.
     pub(super) fn to_next(&self, path: &str, last: Option<&str>) -> HeaderMap {
         let next = self.limit.zip(last).map(|(limit, last)| {
-            // What was matched in an address, and identifiers, need no escapes.
+            // The matched part of an address, and identifiers, need no escaping.
             format!("<{path}?limit={limit}&cursor={last}>; rel=\"next\"")
         });
         let next = next.and_then(|next| HeaderValue::from_str(&next).ok());

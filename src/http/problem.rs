@@ -1,4 +1,4 @@
-//! Refusals: RFC 9457 `application/problem+json`, each with a `detail` that says what to do.
+//! Errors as RFC 9457 `application/problem+json`, each with a `detail` that states what to do.
 
 use axum::http::header::{ALLOW, CONTENT_TYPE, RETRY_AFTER, WWW_AUTHENTICATE};
 use axum::http::{HeaderName, HeaderValue, StatusCode};
@@ -34,7 +34,7 @@ pub struct Problem {
 }
 
 impl Problem {
-    /// A refusal with this status.
+    /// An error with this status.
     pub fn new(status: StatusCode, detail: impl Into<String>) -> Self {
         Self {
             kind: "about:blank",
@@ -46,40 +46,40 @@ impl Problem {
         }
     }
 
-    /// 404: there is no such thing.
+    /// 404: not found.
     pub fn not_found(detail: impl Into<String>) -> Self {
         Self::new(StatusCode::NOT_FOUND, detail)
     }
 
-    /// 409: not in this state.
+    /// 409: not possible in the present state.
     pub fn conflict(detail: impl Into<String>) -> Self {
         Self::new(StatusCode::CONFLICT, detail)
     }
 
-    /// 422: a field of the request cannot be as it is.
+    /// 422: a field of the request has an invalid value.
     pub fn field(field: &str, problem: &str) -> Self {
         let refusal = Self::new(StatusCode::UNPROCESSABLE_ENTITY, format!("{field}: {problem}"));
         Self { field: Some(field.to_owned()), ..refusal }
     }
 
-    /// 500: a fault of the daemon's own.
+    /// 500: a fault of the daemon itself.
     pub fn broken(detail: impl Into<String>) -> Self {
         Self::new(StatusCode::INTERNAL_SERVER_ERROR, detail)
     }
 
-    /// 503: not at the moment.
+    /// 503: not possible at present.
     pub fn unavailable(detail: impl Into<String>) -> Self {
         let refusal = Self::new(StatusCode::SERVICE_UNAVAILABLE, detail);
         Self { header: Some(Box::new((RETRY_AFTER, HeaderValue::from_static("1")))), ..refusal }
     }
 
-    /// 429: too much of it in too short a time.
+    /// 429: too many requests.
     pub fn too_many(detail: impl Into<String>) -> Self {
         let refusal = Self::new(StatusCode::TOO_MANY_REQUESTS, detail);
         Self { header: Some(Box::new((RETRY_AFTER, HeaderValue::from_static("1")))), ..refusal }
     }
 
-    /// 401: no token, or another one.
+    /// 401: no token, or an unknown one.
     pub fn unauthorized(detail: impl Into<String>) -> Self {
         let refusal = Self::new(StatusCode::UNAUTHORIZED, detail);
         Self {
@@ -88,7 +88,7 @@ impl Problem {
         }
     }
 
-    /// 405: not with this method, but with the `allowed` ones.
+    /// 405: not possible with this method, only with the `allowed` ones.
     pub fn method_not_allowed(detail: impl Into<String>, allowed: Option<HeaderValue>) -> Self {
         let refusal = Self::new(StatusCode::METHOD_NOT_ALLOWED, detail);
         Self { header: allowed.map(|allowed| Box::new((ALLOW, allowed))), ..refusal }
@@ -99,7 +99,7 @@ impl Problem {
         self.status
     }
 
-    /// The field at fault, where it is one.
+    /// The field with the invalid value, if there is one.
     pub fn field_name(&self) -> Option<&str> {
         self.field.as_deref()
     }
@@ -122,7 +122,7 @@ impl IntoResponse for Problem {
 }
 
 impl From<DocumentError> for Problem {
-    /// 400 for what is not JSON at all, 422 for a field.
+    /// 400 for a body that is not JSON, 422 for a field.
     fn from(error: DocumentError) -> Self {
         match &error {
             DocumentError::Syntax { .. } => Self::new(StatusCode::BAD_REQUEST, error.to_string()),

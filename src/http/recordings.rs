@@ -1,4 +1,4 @@
-//! Recordings that the daemon writes while everything else goes on.
+//! Recordings that the daemon writes in the background.
 
 use std::sync::Arc;
 

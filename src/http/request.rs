@@ -1,4 +1,4 @@
-//! What a request says: its address, its query, its body. Each refusal is a [`Problem`].
+//! The parts of a request: its address, its query, its body. Each error is a [`Problem`].
 
 use axum::extract::rejection::PathRejection;
 use axum::extract::{FromRequestParts, Path, Query, Request};
@@ -14,7 +14,7 @@ use crate::http::problem::Problem;
 /// The largest body of an ordinary request, in bytes.
 pub(super) const SMALL_BODY: usize = 1 << 20;
 
-/// The changing parts of the address, decoded.
+/// The variable parts of the address, decoded.
 pub(super) struct Address<T>(pub(super) T);
 
 impl<T, S> FromRequestParts<S> for Address<T>
@@ -30,7 +30,7 @@ where
     }
 }
 
-/// The query's parameters; those that nobody asks for are ignored.
+/// The query's parameters; unknown ones are ignored.
 #[cfg_attr(test, derive(Default))]
 pub(super) struct Parameters(Vec<(String, String)>);
 
@@ -44,15 +44,15 @@ impl<S: Send + Sync> FromRequestParts<S> for Parameters {
     }
 }
 
-/// A query that a struct describes in the API's document, and that is read into that struct: what
-/// is documented is what is read.
+/// A query that a struct describes in the API's document and that is parsed into the same struct,
+/// so that the two agree.
 pub(super) trait ReadQuery: Sized {
     /// # Errors
     /// 422 that names the parameter whose value cannot be.
     fn read(parameters: &Parameters) -> Result<Self, Problem>;
 }
 
-/// The query, read.
+/// The parsed query.
 pub(super) struct Asked<T>(pub(super) T);
 
 impl<T: ReadQuery, S: Send + Sync> FromRequestParts<S> for Asked<T> {
@@ -168,11 +168,11 @@ pub(super) enum BodyRefusals {
     MediaType(Problem),
 }
 
-/// The body as a document of at most `limit` bytes.
+/// Reads the body as a document of at most `limit` bytes.
 ///
 /// # Errors
-/// 415 for another media type than JSON, 413 for more than `limit`, 408 for one that does not come
-/// to its end, 400 for what is not JSON, 422 for a field that cannot be.
+/// 415 for another media type than JSON, 413 for more than `limit`, 408 for one that does not
+/// arrive in time, 400 for a body that is not JSON, 422 for a field with an invalid value.
 pub(super) async fn document<T: DeserializeOwned>(
     request: Request,
     limit: usize,
@@ -182,10 +182,10 @@ pub(super) async fn document<T: DeserializeOwned>(
     parsed(&body.bytes)
 }
 
-/// A body as a document.
+/// Parses a body as a document.
 ///
 /// # Errors
-/// 400 for what is not JSON, 422 for a field that cannot be.
+/// 400 for a body that is not JSON, 422 for a field with an invalid value.
 pub(super) fn parsed<T: DeserializeOwned>(body: &[u8]) -> Result<T, Problem> {
     Ok(from_json(body)?)
 }

@@ -1,4 +1,4 @@
-//! The flat list of routes: what can be asked, and which file answers.
+//! The list of routes, and the file that handles each.
 
 use std::any::Any;
 use std::sync::Arc;
@@ -82,8 +82,8 @@ async fn no_method(method: Method, uri: Uri) -> Problem {
     )
 }
 
-/// Headers that every answer carries: what the daemon says now may be otherwise in a moment, and no
-/// other site may show it.
+/// Adds headers to every answer: it may not be cached, because the state changes at any time, and
+/// no other site may embed it.
 async fn careful(request: axum::extract::Request, next: Next) -> Response {
     let mut response = next.run(request).await;
     let fixed = [
@@ -91,7 +91,7 @@ async fn careful(request: axum::extract::Request, next: Next) -> Response {
         (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
         (header::X_FRAME_OPTIONS, "DENY"),
         (header::REFERRER_POLICY, "no-referrer"),
-        // No foreign page shows the live image.
+        // No page of another site may show the live image.
         (HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
     ];
     for (name, value) in fixed {

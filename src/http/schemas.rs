@@ -1,4 +1,4 @@
-//! What values a query's parameters may have, for the API's document.
+//! The allowed values of query parameters, for the API's document.
 
 use utoipa::openapi::schema::{Object, ObjectBuilder, SchemaType, Type};
 
@@ -15,15 +15,15 @@ pub(super) fn sensor_kind() -> Object {
     one_of(SensorKind::ALL.map(SensorKind::name))
 }
 
-/// What a lens may be asked for, as least and most: wider than what is built, and narrow enough
-/// that every figure that follows from it is a number.
+/// Limits of a lens's parameters, as smallest and largest: wider than any real lens needs, and
+/// narrow enough that every figure derived from them is finite.
 pub(super) const F_NUMBER: [f64; 2] = [0.1, 1e3];
 pub(super) const PIXEL_UM: [f64; 2] = [0.01, 1e3];
 pub(super) const FOCAL_MM: [f64; 2] = [0.01, 1e5];
 pub(super) const FOCUS_M: [f64; 2] = [1e-3, 1e6];
 pub(super) const BLUR_PX: [f64; 2] = [0.01, 1e3];
 
-/// A number from the least to the most of `range`.
+/// A number within `range`.
 fn within([least, most]: [f64; 2]) -> Object {
     let number = ObjectBuilder::new().schema_type(SchemaType::Type(Type::Number));
     number.minimum(Some(least)).maximum(Some(most)).build()
@@ -44,7 +44,7 @@ pub(super) fn blur_px() -> Object {
     within(BLUR_PX)
 }
 
-/// How much of what cameras see is in rectified images.
+/// The free scaling parameter of rectified images, from 0 to 1.
 pub(super) fn alpha() -> Object {
     within([0.0, 1.0])
 }

@@ -1,4 +1,4 @@
-//! Connections: how many, how slow, and how they end.
+//! Connections: their number, their time limits, and their end.
 
 use std::convert::Infallible;
 use std::io;
@@ -23,23 +23,24 @@ use crate::http::router::router;
 use crate::http::shared::{SOLVES, Service, Shared};
 use crate::http::tls::{HANDSHAKE, Tls};
 
-/// How many endless answers (previews, events) go out at once.
+/// How many endless answers (previews, events) are sent at once.
 const STREAMS: usize = 128;
-/// How long the head of a request may take to arrive, and a connection may idle.
+/// How long the head of a request may take to arrive, and how long a connection may be idle.
 const HEAD_TIME: Duration = Duration::from_secs(20);
-/// How long the answers in flight have when the daemon goes down.
+/// How long the answers in progress may take when the daemon stops.
 const FAREWELL: Duration = Duration::from_millis(800);
-/// The pause after an `accept` that failed, as when file descriptors have run out.
+/// The pause after an `accept` that failed, for instance because there are no file descriptors
+/// left.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
-/// What is answered however many others there are.
+/// Paths that are answered however many connections there are.
 const HEALTH: [&str; 3] = ["/healthz", "/readyz", "/metrics"];
 
 /// Serves on `listener` until `stop` resolves; then endless answers end, and the others have 0.8 s
 /// to finish.
 ///
 /// # Errors
-/// None in operation: a connection that fails is its client's matter. The result is for `main`'s
-/// comfort.
+/// None in operation: a connection that fails concerns its client only. The result is for the
+/// convenience of `main`.
 pub async fn serve(
     listener: TcpListener,
     service: Service,
@@ -68,7 +69,7 @@ pub async fn serve(
                 }
             };
             let Some(connection) = connections.admit(client) else { continue };
-            // Events are small and wanted at once.
+            // Events are small and must not be delayed.
             let _ = stream.set_nodelay(true);
             let stream = WatchedStream::new(stream, Arc::clone(&connection));
             let (service, answered) = (service.clone(), Arc::clone(&connection));
@@ -111,8 +112,8 @@ pub async fn serve(
     Ok(())
 }
 
-/// Answers one client. Where connections are secured, one that does not secure its own is only
-/// answered that, and whether the daemon is alive: its watchdog asks that.
+/// Answers one client. Where TLS is required, a client without it is only answered with the reason
+/// and, for the daemon's watchdog, whether the daemon is alive.
 async fn serve_one<S>(
     http: http1::Builder,
     mut stream: WatchedStream<TcpStream>,
@@ -147,7 +148,7 @@ where
     Ok(())
 }
 
-/// What is said to a client that does not secure its connection.
+/// The answer to a client that does not use TLS.
 fn in_plain(request: &hyper::Request<Incoming>) -> Response {
     if request.uri().path() == "/healthz" {
         return StatusCode::OK.into_response();

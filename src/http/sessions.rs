@@ -43,7 +43,7 @@ pub(super) async fn start(
     Ok(created(&shared.fleet.start_session(&camera, request).await?))
 }
 
-/// A session that was begun.
+/// The answer to a session that was started.
 pub(super) fn created(record: &SessionRecord) -> impl IntoResponse + use<> {
     let location = format!("/v1/sessions/{}", record.id);
     (StatusCode::CREATED, [(LOCATION, location)], Json(SessionDocument::from(record)))
@@ -81,7 +81,7 @@ pub(super) async fn list(
     };
     let mut headers = HeaderMap::new();
     if let Some(last) = last {
-        // Camera names and identifiers need no escapes: letters, digits, `-` and `_`.
+        // Camera names and identifiers need no escaping: letters, digits, `-` and `_`.
         let camera = camera.map(|camera| format!("&camera={camera}")).unwrap_or_default();
         let next = format!("</v1/sessions?limit={limit}&cursor={last}{camera}>; rel=\"next\"");
         headers.extend(HeaderValue::from_str(&next).map(|next| (LINK, next)));
@@ -132,7 +132,7 @@ pub(super) async fn stop(
     }
     let over = match shared.fleet.session_over(&id).await {
         Ok(over) => SessionDocument::from(over.as_ref()),
-        // A newer session of its camera has begun since: it is over, and stored.
+        // A newer session of its camera has started since: this one is over, and stored.
         Err(EndError::UnknownSession { .. }) => (&session(&shared, &id).await?).into(),
         Err(error) => return Err(error.into()),
     };
@@ -169,7 +169,7 @@ pub(super) async fn abort(
             let fleet = Arc::clone(&shared.fleet);
             let asked = id.clone();
             match on_a_blocking_thread(move || fleet.abort_stored(&asked)).await? {
-                // Its camera was being exchanged, and goes on with it now.
+                // Its camera was being exchanged, and has resumed it by now.
                 Err(EndError::Over { state, .. }) if !state.is_over() => {
                     shared.fleet.abort_session(&id).await
                 }
@@ -181,7 +181,7 @@ pub(super) async fn abort(
     Ok(Json((&aborted?).into()))
 }
 
-/// The session as it stands: live, else as it was stored.
+/// The present state of the session: live, or else as it was stored.
 pub(super) async fn session(shared: &Shared, id: &str) -> Result<SessionRecord, Problem> {
     if let Some(live) = shared.fleet.live_session(id) {
         return Ok(live.as_ref().clone());
@@ -191,8 +191,9 @@ pub(super) async fn session(shared: &Shared, id: &str) -> Result<SessionRecord, 
     stored.ok_or_else(|| EndError::UnknownSession { id: id.to_owned() }.into())
 }
 
-/// The fleet knows the newest session of each camera and rig. An older one is over, and that of a
-/// camera that is not configured any more waits for it: other refusals than unknown.
+/// The fleet knows only the newest session of each camera and rig. An older one is over; one of a
+/// camera that is no longer configured waits for it to be configured again. For these, the refusal
+/// is another one than "unknown".
 async fn or_stored(
     shared: &Shared,
     id: &str,

@@ -1,4 +1,4 @@
-//! What every route shares.
+//! The state that all routes share.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -16,22 +16,22 @@ use crate::store::{Store, StoreError};
 /// How many stateless solves run at once; more wait.
 pub(super) const SOLVES: usize = 2;
 
-/// What is served.
+/// What the server needs.
 #[derive(Debug, Clone)]
 pub struct Service {
     /// The cameras and their sessions.
     pub fleet: Arc<Fleet>,
-    /// What has been stored.
+    /// The stored sessions and calibrations.
     pub store: Arc<Store>,
-    /// Who may ask.
+    /// Access control.
     pub access: Arc<Access>,
-    /// What connections are secured with; `None` for plain HTTP.
+    /// The certificate for TLS; `None` for plain HTTP.
     pub tls: Option<Arc<Tls>>,
     /// How long a stateless solve may take.
     pub solve_time: Duration,
 }
 
-/// What every route shares.
+/// The state that all routes share.
 #[derive(Debug)]
 pub(super) struct Shared {
     pub(super) fleet: Arc<Fleet>,
@@ -39,18 +39,18 @@ pub(super) struct Shared {
     pub(super) access: Arc<Access>,
     /// How many stateless solves may run at once.
     pub(super) solves: Arc<Semaphore>,
-    /// How long one may take, and wait for its place.
+    /// How long a solve may take, and how long it may wait for its permit.
     pub(super) solve_time: Duration,
-    /// The memory that there is for what is to be solved.
+    /// The memory for the bodies of solve requests.
     pub(super) bodies: Bodies,
-    /// How many endless answers may go out at once.
+    /// How many endless answers may be sent at once.
     pub(super) streams: Arc<Semaphore>,
-    /// Becomes true when the daemon goes down: endless answers end.
+    /// Becomes true when the daemon stops: endless answers end.
     pub(super) stopping: watch::Receiver<bool>,
 }
 
 impl Shared {
-    /// Asks the store on a thread that may wait for the disk.
+    /// Calls the store on a thread that may wait for the disk.
     pub(super) async fn stored<T: Send + 'static>(
         &self,
         ask: impl FnOnce(&Store) -> Result<T, StoreError> + Send + 'static,
@@ -59,7 +59,7 @@ impl Shared {
         Ok(on_a_blocking_thread(move || ask(&store)).await??)
     }
 
-    /// A place among those whom an endless answer goes to.
+    /// A permit for an endless answer.
     ///
     /// # Errors
     /// 503 where all are taken.
@@ -71,14 +71,13 @@ impl Shared {
         })
     }
 
-    /// Resolves when the daemon goes down, or when whoever asked with `headers` may not ask any
-    /// more.
+    /// Resolves when the daemon stops, or when a client with `headers` no longer has access.
     pub(super) fn ended(&self, headers: &HeaderMap) -> impl Future<Output = ()> + Send + use<> {
         let mut stopping = self.stopping.clone();
         let (access, headers) = (Arc::clone(&self.access), headers.clone());
         async move {
             tokio::select! {
-                // A sender that is gone means the same.
+                // A sender that was dropped means the same.
                 _ = stopping.wait_for(|stopping| *stopping) => {}
                 () = access.withdrawn(&headers) => {}
             }
@@ -86,7 +85,7 @@ impl Shared {
     }
 }
 
-/// Computes on a thread that may take its time.
+/// Computes on a thread that may block.
 pub(super) async fn on_a_blocking_thread<T: Send + 'static>(
     compute: impl FnOnce() -> T + Send + 'static,
 ) -> Result<T, Problem> {

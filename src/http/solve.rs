@@ -1,4 +1,4 @@
-//! The stateless solve: correspondences in, a calibration out.
+//! The stateless solve: its input is correspondences, its result a calibration.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -20,12 +20,13 @@ use crate::http::problem::Problem;
 use crate::http::request::{BodyRefusals, json_only, parsed};
 use crate::http::shared::{Shared, on_a_blocking_thread};
 
-/// The largest problem, in bytes: [`MOST_POINTS`] with every digit of a double.
+/// The largest request, in bytes: [`MOST_POINTS`] with every digit of a double.
 const LARGEST: usize = 8 << 20;
-/// The most points of all views together: 925 views of 54. A solve holds 1 to 2.2 kB a point.
+/// The most points of all views together: 925 views of 54. A solve needs 1 to 2.2 kB for each
+/// point.
 const MOST_POINTS: usize = 50_000;
 
-/// Ends a computation when the request that it is for is answered, or its client has left.
+/// Interrupts a computation when its request has been answered, or its client has disconnected.
 struct EndsWithRequest(Interrupt);
 
 impl Drop for EndsWithRequest {
@@ -48,7 +49,7 @@ pub(super) async fn solve(
     request: Request,
 ) -> Result<Json<CalibrationDocument>, Problem> {
     json_only(request.headers())?;
-    // Whoever sends slowly takes nobody's place.
+    // The body is read before a permit is taken, so that a slow sender blocks no other solve.
     let body = body(request, LARGEST, Some(&shared.bodies)).await?;
     let seconds = shared.solve_time.as_secs();
     let busy = || {
@@ -61,7 +62,8 @@ pub(super) async fn solve(
     let interrupt = Interrupt::new();
     let _ends = EndsWithRequest(interrupt.clone());
     let computed = move || {
-        // The place is the computation's, which goes on for a moment when the client has left.
+        // The permit belongs to the computation, which continues for a moment after the client has
+        // disconnected.
         let _place = place;
         let document: ProblemDocument = parsed(&body.bytes)?;
         drop(body);

@@ -1,4 +1,4 @@
-//! Which target a camera sees now.
+//! The target that a camera sees now.
 
 use std::sync::Arc;
 

@@ -1,4 +1,4 @@
-//! TLS: the certificate, its key, and what is said to a client that does not use it.
+//! TLS: the certificate, its key, and the detection of clients that do not use it.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -17,7 +17,7 @@ pub(super) const HANDSHAKE: u8 = 0x16;
 /// Why a certificate and its key cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum TlsError {
-    /// No PEM file, or none that holds what it must.
+    /// The file is no PEM file, or does not contain what it must.
     #[error("`{}` holds no {what} in PEM: {source}", file.display())]
     File {
         /// The file.
@@ -27,7 +27,7 @@ pub enum TlsError {
         /// What is wrong with it.
         source: pem::Error,
     },
-    /// The two do not belong together, or the key is of no kind that is known.
+    /// The key does not belong to the certificate, or is of an unsupported kind.
     #[error("`{}` and its key cannot be used: {source}", certificate.display())]
     Pair {
         /// The certificate's file.
@@ -37,7 +37,7 @@ pub enum TlsError {
     },
 }
 
-/// A certificate and its key, that connections are secured with.
+/// A certificate and its key.
 #[derive(Clone)]
 pub struct Certificate(Arc<rustls::ServerConfig>);
 
@@ -74,17 +74,17 @@ impl Certificate {
     }
 }
 
-/// The certificate of a daemon that runs; it can be exchanged.
+/// The certificate of a running daemon; it can be replaced.
 #[derive(Debug)]
 pub struct Tls(RwLock<Certificate>);
 
 impl Tls {
-    /// Secures with `certificate`.
+    /// Starts with `certificate`.
     pub fn new(certificate: Certificate) -> Self {
         Self(RwLock::new(certificate))
     }
 
-    /// Secures new connections with `certificate`.
+    /// Uses `certificate` for new connections.
     pub fn replace(&self, certificate: Certificate) {
         *write(&self.0) = certificate;
     }

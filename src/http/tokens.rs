@@ -1,4 +1,4 @@
-//! Access tokens: who may do what. They are kept as hashes, in a file with a line for each.
+//! Access tokens: who may do what. They are stored as hashes, in a file with one line for each.
 //!
 //! ```text
 //! # name     role     hash of the token
@@ -6,8 +6,8 @@
 //! dashboard  view     sha256:…
 //! ```
 //!
-//! `plumb token` writes such lines. A file whose first line is one word is a single token, in
-//! plain, with every right.
+//! `plumb token` writes such lines. A file whose first line is a single word is one token in plain
+//! text, with every right.
 
 use std::fmt;
 
@@ -17,19 +17,19 @@ use sha2::{Digest, Sha256};
 /// What a token allows, from least to most.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum TokenRole {
-    /// To see everything and to change nothing.
+    /// To read everything and to change nothing.
     View,
-    /// To run and delete sessions and recordings, too.
+    /// Also to run and delete sessions and recordings.
     Operate,
-    /// To approve and delete calibrations, too.
+    /// Also to approve and delete calibrations.
     Approve,
 }
 
 impl TokenRole {
-    /// All of them, from least to most.
+    /// All roles, from least to most.
     pub const ALL: [Self; 3] = [Self::View, Self::Operate, Self::Approve];
 
-    /// As it is written.
+    /// Its name in the file.
     pub fn name(self) -> &'static str {
         match self {
             Self::View => "view",
@@ -38,12 +38,12 @@ impl TokenRole {
         }
     }
 
-    /// The one that is written so.
+    /// The role with this name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|role| role.name() == name)
     }
 
-    /// The least that a request needs.
+    /// The least role that a request needs.
     pub(super) fn needed(method: &Method, path: &str) -> Self {
         let of_calibration = path.starts_with("/v1/calibrations/");
         match *method {
@@ -90,10 +90,10 @@ impl fmt::Debug for TokenHash {
     }
 }
 
-/// A token that lets its bearer in.
+/// A token that grants access to its bearer.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AccessToken {
-    /// Who has it.
+    /// The name of its bearer.
     pub name: String,
     /// What it allows.
     pub role: TokenRole,
@@ -108,7 +108,7 @@ impl AccessToken {
 }
 
 impl fmt::Display for AccessToken {
-    /// As a line of the file.
+    /// Writes it as a line of the file.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(out, "{} {} {}", self.name, self.role.name(), self.hash)
     }
@@ -117,21 +117,21 @@ impl fmt::Display for AccessToken {
 /// Why a file of tokens, or a token, cannot be used.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum TokenError {
-    /// Nothing at all.
+    /// The file is empty.
     #[error("it is empty; `plumb token add` makes a token")]
     Empty,
-    /// A line that is none.
+    /// A line of another form.
     #[error(
         "line {line} is not `NAME ROLE sha256:HASH`, with the role view, operate or approve; `plumb token add` writes such lines"
     )]
     Line {
-        /// From 1.
+        /// The line's number, from 1.
         line: usize,
     },
-    /// A name twice.
+    /// A name that occurs twice.
     #[error("line {line}: `{name}` has a token already; revoke one of the two")]
     NameTwice {
-        /// From 1.
+        /// The line's number, from 1.
         line: usize,
         /// The name.
         name: String,
@@ -141,24 +141,24 @@ pub enum TokenError {
         "the token can be guessed: at least {LEAST_BITS} bits are needed, this has at most {bits:.0}; `plumb token add` makes one"
     )]
     Guessable {
-        /// What so many characters of these kinds hold at most.
+        /// The largest entropy of so many characters of these kinds.
         bits: f64,
     },
-    /// A character that a header, a cookie or an address cannot carry.
+    /// A character that is not allowed in a header, a cookie or an address.
     #[error(
         "the token's character `{character}` cannot travel in a header; use letters, digits and -._~ (RFC 6750)"
     )]
     Character {
-        /// The first of them.
+        /// The first such character.
         character: char,
     },
 }
 
-/// Least size of a token: what cannot be guessed in any time (NIST SP 800-63B asks 64 of secrets
-/// that are tried online; 128 is what a cookie of a session is held to).
+/// The least entropy of a token, in bits: it cannot be guessed in any time (NIST SP 800-63B demands
+/// 64 of secrets that are tried online; a session's cookie is expected to have 128).
 const LEAST_BITS: f64 = 128.0;
 
-/// With fewer different characters, these alone are taken for the alphabet.
+/// With fewer different characters than this, they alone are taken as the alphabet.
 const FEW_CHARACTERS: usize = 8;
 
 /// The tokens of one file.
@@ -166,11 +166,12 @@ const FEW_CHARACTERS: usize = 8;
 pub struct AccessTokens(Vec<AccessToken>);
 
 impl AccessTokens {
-    /// Reads the content of a file. Where only comments are left, since all tokens are revoked,
-    /// nobody is let in.
+    /// Reads the content of a file. If it contains only comments because all tokens were revoked,
+    /// nobody gets access.
     ///
     /// # Errors
-    /// [`TokenError`] for the first line that is none, and for a plain token that can be guessed.
+    /// [`TokenError`] for the first line that is invalid, and for a plain token that can be
+    /// guessed.
     pub fn parse(text: &str) -> Result<Self, TokenError> {
         if text.trim().is_empty() {
             return Err(TokenError::Empty);
@@ -202,13 +203,13 @@ impl AccessTokens {
         Ok(tokens)
     }
 
-    /// Each of them, in the file's order.
+    /// All tokens, in the file's order.
     pub fn iter(&self) -> impl Iterator<Item = &AccessToken> {
         self.0.iter()
     }
 
-    /// The token whose bearer gives `token`. Hashes are compared, so the time of a comparison says
-    /// nothing about the token.
+    /// The stored token that equals `token`. The hashes are compared, so the time of a comparison
+    /// reveals nothing about the token.
     pub(super) fn of_bearer(&self, token: &str) -> Option<&AccessToken> {
         self.of_hash(TokenHash::of(token))
     }
@@ -218,13 +219,13 @@ impl AccessTokens {
     }
 }
 
-/// Refuses a token that can be guessed or cannot travel.
+/// Refuses a token that can be guessed or contains characters that are not allowed.
 fn check_token(token: &str) -> Result<(), TokenError> {
     let travels = |c: char| c.is_ascii_alphanumeric() || "-._~+/=".contains(c);
     if let Some(character) = token.chars().find(|&c| !travels(c)) {
         return Err(TokenError::Character { character });
     }
-    // At most what so many characters of its own alphabet hold; few repeated ones hold less.
+    // The largest entropy of so many characters of its own alphabet; repeated ones have less.
     let has = |is: fn(&char) -> bool| token.chars().any(|c| is(&c));
     let kinds = [
         (has(char::is_ascii_digit), 10),

@@ -1,4 +1,4 @@
-//! How well a calibration knows where things are seen: in numbers, and as an image.
+//! The projection uncertainty of a calibration: as numbers, and as an image.
 
 use std::sync::Arc;
 
@@ -122,7 +122,7 @@ pub(super) async fn session_image(
     Ok(([(CONTENT_TYPE, "image/png")], png))
 }
 
-/// The sensor that is asked about, with its name, and the distance.
+/// The requested sensor, with its name, and the requested distance.
 async fn asked(
     shared: &Shared,
     id: &str,

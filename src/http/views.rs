@@ -1,4 +1,4 @@
-//! The views that a session kept: what was seen, how well it fits, the image.
+//! The views that a session kept: their detections, their residuals, their images.
 
 use std::sync::Arc;
 
@@ -59,7 +59,7 @@ pub(super) async fn list(
     let path = format!("/v1/sessions/{id}/views");
     let (asked, headers) = page.of(&path, views.iter().collect(), number)?;
     let documents = asked.into_iter().filter_map(|view| {
-        // Which of its own camera's views it is.
+        // Its position among the views of its own camera.
         let before = |other: &&SensorView| {
             other.sensor.camera == view.sensor.camera && other.number < view.number
         };
@@ -105,13 +105,14 @@ fn to_jpeg(bytes: Vec<u8>) -> Result<Vec<u8>, Problem> {
     Ok(decode::encode_jpeg_rgb(&image, JPEG_QUALITY))
 }
 
-/// The sensor that a calibration has for a view.
+/// The calibration of the sensor that a view is of.
 fn sensor_of<'a>(calibration: &'a Calibration, view: &SensorView) -> Option<&'a ImageCalibration> {
     let Some(camera) = &view.sensor.camera else { return calibration.color() };
     calibration.sensor(&SensorId::of(camera, SensorKind::Color))?.as_image()
 }
 
-/// `place` counts the views of the same sensor; `shown` is what the session searched for.
+/// `place` is the position among the views of the same sensor; `shown` is the target that the
+/// session searched for.
 fn view_document(
     session_id: &str,
     shown: Option<Target>,
@@ -122,7 +123,8 @@ fn view_document(
     let (n, detection) = (view.number?, view.detection.as_ref());
     let sensor = calibration.and_then(|calibration| sensor_of(calibration, view));
     let name = view.frame.display_name();
-    // The views before it may not all be readable any more: then it is the only one of its name.
+    // If an earlier view can no longer be read, the position is wrong: then the view is found by
+    // its name, if that is unique.
     let calibrated = sensor.and_then(|sensor| {
         let at_place = sensor.views.get(place).filter(|calibrated| calibrated.name == name);
         let mut of_name = sensor.views.iter().filter(|calibrated| calibrated.name == name);
@@ -136,7 +138,7 @@ fn view_document(
         camera: view.sensor.camera.clone(),
         moment: view.sensor.camera.is_some().then_some(view.frame_set),
         name,
-        // The times of images with names only count them.
+        // The times of images with names are only a count.
         taken_at: view.frame.name.is_none().then(|| time::from_utc_ns(view.frame.host_time_ns)),
         corners: corners().count() as u32,
         corners_px: corners().map(|corner| [corner.pixel.x, corner.pixel.y]).collect(),
@@ -158,10 +160,11 @@ fn view_document(
     })
 }
 
-/// Measured minus projected, corner by corner, on the board as it was measured; `None` for a view
-/// without a pose, and where a calibration with a rolling shutter does not say how the board moved
-/// in this view: without it residuals would contradict the view's `rms_px`. A rig's solve may have
-/// rotated the labels of a board that is alike both ways by half a turn: those that fit are meant.
+/// The residuals, measured minus projected, for each corner of the board as it was measured. `None`
+/// for a view without a pose, and where a rolling-shutter calibration does not contain the board's
+/// motion in this view: without the motion, the residuals would contradict the view's `rms_px`. The
+/// solve of a rig may have rotated the labels of a symmetric board by half a turn: the residuals
+/// are those of the labels that fit.
 fn residuals_px(
     detection: &Detection,
     sensor: &ImageCalibration,
