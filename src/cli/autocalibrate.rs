@@ -1,4 +1,4 @@
-//! `plumb autocalibrate`: from photographs of a static scene to a calibration, without a target.
+//! `plumb autocalibrate`: calibrates from images of a static scene, without a target.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -115,8 +115,8 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     }
 }
 
-/// The same with lengths in meters, where the depth images that came with the images give them;
-/// with the reason where there are such, and they do not.
+/// The calibration with lengths in meters, if the depth images that came with the images determine
+/// the scale. If there are depth images that do not, the reason is added.
 fn with_unit(
     mut calibration: SceneCalibration,
     depth: Vec<Option<Arc<DepthImage>>>,
@@ -156,7 +156,7 @@ fn write_colmap(folder: &Path, calibration: &SceneCalibration) -> Result<(), Fai
     Ok(())
 }
 
-/// What a person wants to know first.
+/// The most important results, in readable form.
 fn summary(calibration: &SceneCalibration) -> String {
     let (sensor, verdict) = (&calibration.sensor, &calibration.verdict);
     let used = calibration.views.iter().filter(|view| view.camera_from_scene.is_some()).count();

@@ -1,4 +1,4 @@
-//! `plumb board`: a board as a calibration measured it, as an image.
+//! `plumb board`: draws a board as measured by a calibration.
 
 use std::path::PathBuf;
 

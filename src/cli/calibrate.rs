@@ -1,4 +1,4 @@
-//! `plumb calibrate`: from images or a recording to a calibration.
+//! `plumb calibrate`: calibrates from images or a recording.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -48,7 +48,7 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// When a source is not there, the board is in too few images, or they leave the lens open.
+/// When a source does not exist, the board is in too few images, or they do not determine the lens.
 pub fn run(args: &Args) -> Result<(), Failure> {
     args.output.check()?;
     let mut options = CameraOptions { lens: args.lens.into(), ..CameraOptions::default() };
@@ -82,7 +82,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     solve(args, target, gathered.finish()?, &options)
 }
 
-/// Solves the problem and gives the calibration; images that are no views keep their places.
+/// Solves the problem and returns the calibration; images that are no views keep their positions.
 fn solve(
     args: &Args,
     target: Target,
@@ -109,7 +109,7 @@ fn solve(
     args.output.give(&named(solved), None)
 }
 
-/// How many images are no views, and why most of them are not; nothing where there are none.
+/// How many images are no views, and the reason of most of them; empty if there are none.
 fn left_out(others: &[(usize, CalibratedView)]) -> String {
     let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
     let reasons = others.iter().filter_map(|(_, view)| view.reason.as_deref());
@@ -120,7 +120,7 @@ fn left_out(others: &[(usize, CalibratedView)]) -> String {
     })
 }
 
-/// Several folders or recordings may be one camera's or several cameras': that is not guessed.
+/// Several folders or recordings may be of one camera or of several: this is not guessed.
 fn check_one_camera(sources: &[String]) -> Result<(), Failure> {
     let whole: Vec<&String> = sources
         .iter()

@@ -30,7 +30,7 @@ use crate::imaging::depth_image::DepthImage;
 use crate::imaging::frame::{FrameSet, SensorKind};
 use crate::imaging::gray::GrayImage;
 
-/// Frame sets of a recording file that are searched for a depth frame.
+/// How many frame sets of a recording file are searched for a depth frame.
 const SEARCHED_FOR_DEPTH: usize = 30;
 
 /// Whether `source` is a recording with depth.
@@ -47,11 +47,11 @@ pub fn has_depth(source: &str, reading: &TopicArgs) -> bool {
             .any(|frames| frames.is_ok_and(|f| depth(&f)))
 }
 
-/// Calibrates the color, infrared (left and right) and depth sensors of one recording; answers
-/// what their solve took, in milliseconds, too.
+/// Calibrates the color, infrared (left and right) and depth sensors of one recording. Also returns
+/// the time of the solve in milliseconds.
 ///
 /// # Errors
-/// When it cannot be read, what its depth means is not said, or too little is seen.
+/// When the recording cannot be read, does not state its depth encoding, or shows too little.
 pub fn calibrate(
     source: &str,
     reading: &TopicArgs,
@@ -83,10 +83,11 @@ pub fn calibrate(
     Ok((named(solved), elapsed_ms))
 }
 
-/// What the sensors of one recording saw in the frame sets of these paths, with their numbers.
+/// The views of the sensors of one recording in the frame sets with these paths, with their
+/// numbers.
 ///
 /// # Errors
-/// As [`calibrate`].
+/// As for [`calibrate`].
 pub fn views_of(
     (source, reading): (&str, &TopicArgs),
     target: Target,
@@ -99,7 +100,7 @@ pub fn views_of(
         let mut frames = frames.map_err(|unreadable| Failure::failed(unreadable.reason))?;
         let path = frames.path();
         if numbers.contains_key(&path) {
-            // As an image that was chosen by hand: it is a view, and its time says nothing.
+            // Treated like an image chosen by hand: it is a view, and its time is ignored.
             (frames.recording, frames.set.name) = (None, Some(path));
             gathered.add(&frames)?;
         }
@@ -112,8 +113,8 @@ pub fn views_of(
     Ok(camera)
 }
 
-/// What is said of a recording's depth. In a recording file 16-bit depth is in millimeters (ROS REP
-/// 118).
+/// What a recording states about its depth. In a recording file, 16-bit depth is in millimeters
+/// (ROS REP 118).
 pub(super) fn depth_sensor(source: &str) -> Result<DepthSensor, Failure> {
     let stated = SensorsFile::of_folder(Path::new(source)).map_err(Failure::failed)?;
     let (encoding, factory) = match stated {
@@ -166,7 +167,7 @@ impl<'a> RgbdGathering<'a> {
         }
         let is_view = frames.recording.is_none() || self.keep(&frames.set, color.as_ref());
         let mut corners = vec![(SensorKind::Color, self.corners(color))];
-        // Between views, infrared beside color determines when depth was taken.
+        // Between views, infrared is used with color to determine the time offset of depth.
         let others = SensorKind::ALL.into_iter().filter(|kind| {
             kind.is_image() && *kind != SensorKind::Color && (is_view || kind.is_of_depth())
         });
@@ -240,7 +241,7 @@ impl<'a> RgbdGathering<'a> {
         )))
     }
 
-    /// Whether the session of a recording keeps this frame set.
+    /// Whether the session that a recording goes through keeps this frame set.
     fn keep(
         &mut self,
         set: &FrameSet,

@@ -1,4 +1,4 @@
-//! A finished calibration on stdout and in a file, the same way for every command that makes one.
+//! Writes a finished calibration to stdout and to a file, in the same way for every command.
 
 use std::path::{Path, PathBuf};
 
@@ -28,7 +28,7 @@ pub struct OutputArgs {
 }
 
 impl OutputArgs {
-    /// Refuses what cannot be done, before any work is.
+    /// Refuses impossible combinations before any computation.
     ///
     /// # Errors
     /// When two documents would have to go to stdout, or the file into a folder that is not there.
@@ -52,16 +52,16 @@ impl OutputArgs {
         }
     }
 
-    /// Whether stdout is to be one JSON document.
+    /// Whether stdout gets one JSON document.
     pub fn is_json(&self) -> bool {
         self.json
     }
 
-    /// Writes and prints `calibration`; `elapsed_ms` is the solve's duration, for the
-    /// commands that report it.
+    /// Writes and prints `calibration`; `elapsed_ms` is the duration of the solve, for the commands
+    /// that report it.
     ///
     /// # Errors
-    /// When the format cannot hold it, or it cannot be written.
+    /// When the format cannot represent it, or it cannot be written.
     pub fn give(&self, calibration: &Calibration, elapsed_ms: Option<f64>) -> Result<(), Failure> {
         let (format, options) = (self.format, ExportOptions::default());
         if let Some(path) = &self.out {
@@ -90,7 +90,7 @@ impl OutputArgs {
     }
 }
 
-/// A calibration with a name and a time of its own: it was made now.
+/// The calibration with a new id and the present time.
 pub fn named(calibration: Calibration) -> Calibration {
     Calibration {
         id: ulid::Ulid::generate().to_string(),
@@ -99,7 +99,7 @@ pub fn named(calibration: Calibration) -> Calibration {
     }
 }
 
-/// What a person wants to know first.
+/// The most important results, in readable form.
 fn summary(calibration: &Calibration) -> String {
     let mut lines = Vec::new();
     for (id, sensor) in calibration.image_sensors() {
@@ -117,7 +117,7 @@ fn summary(calibration: &Calibration) -> String {
     lines.join("\n") + "\n"
 }
 
-/// Where one sensor is relative to another.
+/// The pose of one sensor relative to another, as a line.
 fn place_line(calibration: &Calibration, known: &Extrinsics) -> String {
     let [target, source] = [&known.target, &known.source].map(|id| calibration.name_of(id));
     let pose = &known.target_from_source;

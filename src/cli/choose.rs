@@ -1,4 +1,5 @@
-//! `plumb calibrate --choose N` and `--order`: which images of a pool teach most.
+//! `plumb calibrate --choose N` and `--order`: selects the images of a pool with the most
+//! information.
 
 use serde::Serialize;
 
@@ -25,32 +26,34 @@ pub struct ChooseArgs {
     order: bool,
 }
 
-/// An image that lowers the uncertainty by a smaller part teaches little: it would be printed as 0 %.
+/// An image that reduces the uncertainty by a smaller fraction than this is called uninformative:
+/// it would be printed as 0 %.
 const SEEN_GAIN: f64 = 0.005;
 
-/// A problem's images: its views, and the others with their places.
+/// A problem's images: its views, and the others with their positions.
 pub type ViewsAndOthers = (CameraProblem, Vec<(usize, CalibratedView)>);
 
 /// The order of a pool's images, as printed.
 #[derive(Debug, Serialize)]
 struct OrderDocument {
-    /// First the one that teaches most.
+    /// The most informative image comes first.
     order: Vec<TaughtDocument>,
-    /// The view that would teach most beside all of them.
+    /// The view that would add the most information to all of them.
     next: Option<NextDocument>,
 }
 
-/// What one image taught.
+/// The information of one image.
 #[derive(Debug, Serialize)]
 struct TaughtDocument {
     name: String,
-    /// The worst projection uncertainty over the image with it and those before it, in pixels.
+    /// The worst projection uncertainty over the image, from this image and those before it, in
+    /// pixels.
     uncertainty_px: f64,
-    /// The part of the uncertainty that it took away, 0 to 1.
+    /// The fraction by which it reduced the uncertainty, 0 to 1.
     gain: f64,
 }
 
-/// A view that would teach more.
+/// A view that would add more information.
 #[derive(Debug, Serialize)]
 struct NextDocument {
     message: String,
@@ -60,13 +63,13 @@ struct NextDocument {
 }
 
 impl ChooseArgs {
-    /// Whether anything of it was asked for.
+    /// Whether either option was given.
     pub fn is_asked(&self) -> bool {
         self.choose.is_some() || self.order
     }
 
     /// # Errors
-    /// When it was asked for, with `what` it cannot be done for.
+    /// When either option was given; `what` is what it cannot be used for.
     pub fn refuse(&self, what: &str) -> Result<(), Failure> {
         if self.is_asked() {
             return Err(Failure::usage(format!(
@@ -76,11 +79,10 @@ impl ChooseArgs {
         Ok(())
     }
 
-    /// The images to calibrate from, and with which lens; `None` when the order was printed
-    /// instead.
+    /// The images to calibrate from, and the lens model; `None` if the order was printed instead.
     ///
     /// # Errors
-    /// When the images leave the lens open, or stdout is closed.
+    /// When the images do not determine the lens, or stdout is closed.
     pub fn pick(
         &self,
         (problem, others): ViewsAndOthers,
@@ -97,14 +99,14 @@ impl ChooseArgs {
         let estimate = calibrate_camera(&problem, options).map_err(Failure::failed)?;
         let pool = Pool::of(&problem, &estimate, GoalFigure::Worst);
         let chosen = pool.choose(count as usize);
-        // A few images cannot separate lens models as well as all of them.
+        // A few images do not discriminate between lens models as well as all of them.
         let lens = LensChoice::Model(estimate.lens.model());
         let options = CameraOptions { lens, ..options.clone() };
         Ok(Some((chosen_images((problem, others), &estimate, &pool, &chosen), options)))
     }
 }
 
-/// The chosen views as the problem, the others named with what they would have taught.
+/// The chosen views as the problem; the others with the uncertainty reduction that each would give.
 fn chosen_images(
     (problem, others): ViewsAndOthers,
     estimate: &CameraEstimate,
@@ -137,8 +139,9 @@ fn chosen_images(
     (CameraProblem { views, ..problem }, left)
 }
 
-/// Why an image was left out that would lower the uncertainty by this part. That is what its
-/// corners say where all images err alike: of one that fits worse the solve with it says more.
+/// The reason for leaving out an image that would reduce the uncertainty by the fraction `gain`.
+/// This is predicted from its corners, under the assumption that all images have the same noise; if
+/// an image has larger residuals, the solve with it is more conclusive.
 fn not_chosen(gain: f64) -> String {
     if !(gain >= SEEN_GAIN) {
         return "not chosen: it teaches little beside the chosen ones".to_owned();
@@ -149,9 +152,10 @@ fn not_chosen(gain: f64) -> String {
     )
 }
 
-/// Prints the order of a problem's images. All of them together leave what their calibration
-/// states; what widens that beyond each image's own corners (images that differ, a board that is
-/// not flat) widens the figures of fewer images in proportion.
+/// Prints the order of a problem's images. The uncertainty from all of them is the one that their
+/// calibration states. If effects other than the noise of corners (differences between images, a
+/// board that is not flat) increase it, the figures of fewer images are increased by the same
+/// factor.
 fn print_order(problem: &CameraProblem, solved: &SolvedCamera, json: bool) -> Result<(), Failure> {
     let estimate = &solved.estimate;
     let stated_px = solved.sensor.uncertainty_px.worst;

@@ -1,5 +1,5 @@
-//! `plumb correct`: depth images without their systematic error, on request as the color camera
-//! would see them.
+//! `plumb correct`: depth images without their systematic error, if requested registered to the
+//! color camera.
 
 use std::cell::LazyCell;
 use std::fs;
@@ -76,24 +76,24 @@ struct CorrectedImage {
     readings: usize,
     beyond_calibrated_range: usize,
     too_far_for_unit: usize,
-    /// Correction and registration alone, without reading and writing.
+    /// Time of correction and registration alone, without reading and writing.
     elapsed_ms: f64,
-    /// Off the board that color sees, where that was asked for and is seen.
+    /// The error relative to the board that color sees, if requested and seen.
     #[serde(skip_serializing_if = "Option::is_none")]
     off_board: Option<BeforeAndAfter>,
 }
 
-/// What comes with a depth image.
+/// The color that comes with a depth image.
 #[derive(Default)]
 struct Colored {
     image: Option<RgbImage>,
     frame: Option<Frame>,
 }
 
-/// Corrects every depth image; one that cannot be is reported at the end, after the others.
+/// Corrects every depth image; failures are reported at the end, after the others.
 ///
 /// # Errors
-/// A failure for a calibration without depth, and when any image could not be corrected.
+/// A failure for a calibration without depth, or if any image could not be corrected.
 pub fn run(args: &Args) -> Result<(), Failure> {
     if !(args.unit > 0.0 && args.unit < 1.0) {
         return Err(Failure::usage(format!(
@@ -180,18 +180,18 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     report(args, written, &failures)
 }
 
-/// A depth image to correct, with its color image where that is needed.
+/// A depth image to correct, with its color image if that is needed.
 struct NamedDepth<'a> {
-    /// Where it is from, in messages.
+    /// Its source, for messages.
     path: &'a str,
-    /// What its files are called.
+    /// The base name of its files.
     name: &'a str,
     image: &'a DepthImage,
     color: Option<&'a RgbImage>,
 }
 
-/// `invalid`: the reading that means none, if there is one. `write` takes a file's name and what
-/// goes into it.
+/// `invalid` is the reading that means "no reading", if there is one. `write` takes a file's name
+/// and its content.
 fn correct(
     args: &Args,
     registration: &DepthRegistration,
@@ -235,7 +235,7 @@ fn correct(
     })
 }
 
-/// What `work` gives, and the least time that one of the repetitions took, in milliseconds.
+/// The result of `work`, and the shortest time of its repetitions, in milliseconds.
 fn timed<T>(args: &Args, work: impl Fn() -> T) -> (T, f64) {
     let once = || {
         let started = Instant::now();
@@ -301,8 +301,8 @@ fn report(args: &Args, written: Vec<CorrectedImage>, failures: &[String]) -> Res
     }
 }
 
-/// The medians of all images' rms errors before and after correction, as a line. The median,
-/// because a board that moves between the color and the depth exposure is off however right the
+/// The medians of all images' rms errors before and after correction, as a line. Medians, because a
+/// board that moves between the color and the depth exposure has an error however good the
 /// correction is.
 fn off_line(off: &[[f64; 2]]) -> String {
     let middle_mm = |k: usize| median(off.iter().map(|one| 1e3 * one[k]).collect());

@@ -1,4 +1,4 @@
-//! `plumb detect`: which images show the board, and where its corners are.
+//! `plumb detect`: finds the images with the board, and its corners.
 
 use serde::Serialize;
 
@@ -11,7 +11,7 @@ use crate::cli::{Failure, output, recognize};
 use crate::detection::board_detection::{BoardMarkers, DetectOptions, Detection};
 use crate::geometry::target::Target;
 
-/// What the command prints for an image.
+/// The output for one image.
 #[derive(Debug, Serialize)]
 struct ImageLine {
     path: String,
@@ -24,32 +24,32 @@ struct ImageLine {
     corners: Vec<[f64; 2]>,
     indices: Vec<[i32; 2]>,
     orientation_ambiguous: bool,
-    /// Of part of a board: whether its indices count from the board's first corner, or only among
-    /// themselves.
+    /// For part of a board: whether its indices count from the board's first corner, or are only
+    /// relative to each other.
     position_known: bool,
     reason: Option<String>,
     elapsed_ms: f64,
-    /// Of a board with markers.
+    /// For a board with markers.
     #[serde(flatten)]
     coded: Option<CodedLine>,
 }
 
-/// What a board with markers adds.
+/// The additional output for a board with markers.
 #[derive(Debug, Serialize)]
 struct CodedLine {
     kind: &'static str,
     ids: Vec<u32>,
     std_px: Vec<f64>,
-    /// Markers that were read.
+    /// How many markers were read.
     markers: usize,
-    /// Of a ChArUco board with an even number of rows: whether its layout is the legacy one.
+    /// For a ChArUco board with an even number of rows: whether its layout is the legacy one.
     legacy: Option<bool>,
-    /// Of an AprilGrid: the cells of black around a tag's payload.
+    /// For an AprilGrid: the width of the black border around a tag's payload, in cells.
     border_bits: Option<u32>,
     inverted: bool,
 }
 
-/// The side of a square, which has no influence on where a board is.
+/// The side of a square, which does not affect where a board is found.
 const ANY_SQUARE_M: f64 = 0.025;
 
 /// Runs the command.
@@ -151,7 +151,7 @@ impl CodedLine {
         })
     }
 
-    /// What a person wants to know of it.
+    /// Its most important properties, in readable form.
     fn notes(&self) -> String {
         let mut notes = format!(" by {} markers", self.markers);
         if self.legacy == Some(true) {
@@ -171,7 +171,7 @@ fn print(args: &Args, target: &Target, line: &ImageLine) -> Result<(), Failure> 
     let ImageLine { path, corners, reason, elapsed_ms, .. } = line;
     let part = if line.partial { "part of a" } else { "a" };
     output::print_line(&match reason {
-        // A reason that is about the file names it.
+        // A reason that concerns the file already names it.
         Some(reason) if line.width.is_none() => reason.clone(),
         Some(reason) => format!("{path}: no board: {reason}"),
         None => {

@@ -1,4 +1,4 @@
-//! What `plumb detect` is asked, whatever the target.
+//! The arguments of `plumb detect`, for any target.
 
 use std::io::{self, BufRead};
 
@@ -31,12 +31,13 @@ pub struct Args {
     pub(super) paths: Vec<String>,
 }
 
-/// The paths, those on standard input in the place of `-`.
+/// The paths, with `-` replaced by the paths from standard input.
 pub(super) fn paths(given: &[String]) -> impl Iterator<Item = String> + Send + '_ {
     given.iter().flat_map(|path| -> Box<dyn Iterator<Item = String> + Send> {
         if path == "-" {
             let lines = io::BufReader::new(io::stdin()).split(b'\n').map_while(Result::ok);
-            // A name that is no text is one image that cannot be read, and the next one follows.
+            // A name that is not valid text counts as one image that cannot be read, and the next
+            // one follows.
             let name = |line: Vec<u8>| {
                 String::from_utf8_lossy(line.strip_suffix(b"\r").unwrap_or(&line)).into_owned()
             };
@@ -47,7 +48,7 @@ pub(super) fn paths(given: &[String]) -> impl Iterator<Item = String> + Send + '
     })
 }
 
-/// Images that could not be read: how many, and the first one's reason.
+/// The images that could not be read: their number, and the reason of the first.
 #[derive(Debug, Default)]
 pub(super) struct Unread {
     count: usize,

@@ -1,4 +1,5 @@
-//! `plumb devices`: the cameras that each backend sees, and what is missing where one sees none.
+//! `plumb devices`: lists the cameras that each backend finds, and what is missing where one finds
+//! none.
 
 use serde::Serialize;
 
@@ -19,7 +20,8 @@ pub struct Args {
 /// Lists the devices.
 ///
 /// # Errors
-/// When stdout cannot be written to; a backend that sees nothing says why, and is no failure.
+/// When stdout cannot be written to; a backend without cameras states the reason, and is no
+/// failure.
 pub fn run(args: &Args) -> Result<(), Failure> {
     let listings = crate::capture::list_devices();
     if args.json {

@@ -1,5 +1,5 @@
-//! What a solve estimates beyond the lens model, and what it takes as given: the same for every
-//! command that solves.
+//! The options for what a solve estimates besides the lens, and what it takes as given: the same
+//! for every command that solves.
 
 use std::path::{Path, PathBuf};
 
@@ -55,7 +55,7 @@ pub struct EstimatedArgs {
 }
 
 impl EstimatedArgs {
-    /// Asks for it on top of what `options` ask for.
+    /// Adds these options to `options`.
     ///
     /// # Errors
     /// When a parameter is given twice, or the file with a measured board cannot be read, or has none.
@@ -89,7 +89,7 @@ impl EstimatedArgs {
         Ok(())
     }
 
-    /// Whether nothing but the defaults is asked for.
+    /// Whether only defaults are requested.
     pub fn is_default(&self) -> bool {
         !(self.skew || self.square_pixels || self.warp)
             && self.given.is_empty()
@@ -97,7 +97,7 @@ impl EstimatedArgs {
             && self.shutter == ShutterName::Auto
     }
 
-    /// The lenses of a rig's cameras that are known.
+    /// The known lenses of a rig's cameras.
     pub fn lenses(&self) -> Vec<GivenLens> {
         let lens = |given: &GivenArgument| match given {
             GivenArgument::Parameter(..) => None,
@@ -106,7 +106,7 @@ impl EstimatedArgs {
         self.given.iter().filter_map(lens).collect()
     }
 
-    /// Refuses a whole lens where there is no rig.
+    /// Refuses a complete lens where there is no rig.
     ///
     /// # Errors
     /// When one is given.
@@ -122,7 +122,7 @@ impl EstimatedArgs {
     }
 }
 
-/// What is known.
+/// A known parameter or lens.
 #[derive(Debug, Clone, PartialEq)]
 enum GivenArgument {
     /// One parameter.
@@ -131,7 +131,7 @@ enum GivenArgument {
     Lens(GivenLens),
 }
 
-/// A lens of a rig's camera that is known.
+/// A known lens of a rig's camera.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GivenLens {
     /// The camera's name.

@@ -87,7 +87,7 @@ struct ExportedDocument<'a> {
 /// Runs the command.
 ///
 /// # Errors
-/// When the calibration cannot be read, or the format cannot hold it.
+/// When the calibration cannot be read, or the format cannot represent it.
 pub fn run(args: &Args) -> Result<(), Failure> {
     if !(0.0..=1.0).contains(&args.alpha) {
         return Err(Failure::usage(format!("--alpha {}: give a number from 0 to 1", args.alpha)));
@@ -96,7 +96,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let in_file =
         |error: &dyn Display| Failure::failed(format!("{}: {error}", args.calibration.display()));
     let size = args.width.zip(args.height).map(|(width, height)| ImageSize::new(width, height));
-    // Two names are of a stereo format, for images of both.
+    // Two names are for a stereo format, and apply to the images of both.
     let sensor = args.sensor.clone().filter(|names| !names.contains(','));
     let other = OtherImages { crop: args.crop, size, sensor };
     let calibration = for_other_images(&calibration, &other).map_err(|error| in_file(&error))?;
@@ -106,7 +106,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         tracing::warn!("{note}");
     }
     if let Some(path) = &args.out {
-        // A document may take the place of the one that it comes from.
+        // A JSON document may replace the one that it was made from.
         if args.format != Format::Json {
             check_not_read(path, &[&args.calibration])?;
         }
@@ -119,7 +119,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     }
 }
 
-/// Writes the file, or the files of a format of several into the folder.
+/// Writes the file, or into the folder if the format has several files.
 fn write(path: &Path, exported: &Exported) -> Result<(), Failure> {
     if exported.files.is_empty() {
         return write_file(path, &exported.bytes);

@@ -1,8 +1,8 @@
-//! How a command ends when it does not succeed.
+//! The failure of a command.
 
 use std::fmt::Display;
 
-/// One line that says what was wrong, where, and what to do; and the exit code.
+/// One line that states what was wrong, where, and what to do; and the exit code.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Failure {
     line: Option<String>,
@@ -10,17 +10,17 @@ pub struct Failure {
 }
 
 impl Failure {
-    /// The request itself was wrong (a flag, a value, a configuration): exit code 2.
+    /// The request itself was wrong (a flag, a value, the configuration): exit code 2.
     pub fn usage(line: impl Display) -> Self {
         Self { line: Some(on_one_line(&line)), exit_code: 2 }
     }
 
-    /// The request was right and could not be done: exit code 1.
+    /// The request was valid, but could not be carried out: exit code 1.
     pub fn failed(line: impl Display) -> Self {
         Self { line: Some(on_one_line(&line)), exit_code: 1 }
     }
 
-    /// Nobody reads the output any more (`plumb … | head`): nothing to say, exit code 1.
+    /// The reader of the output has closed it (`plumb … | head`): no message, exit code 1.
     pub fn output_closed() -> Self {
         Self { line: None, exit_code: 1 }
     }
@@ -30,7 +30,7 @@ impl Failure {
         self.line.as_deref()
     }
 
-    /// What the process ends with.
+    /// The exit code of the process.
     pub fn exit_code(&self) -> u8 {
         self.exit_code
     }

@@ -1,4 +1,4 @@
-//! Documents in files, with failures that name the file.
+//! Reading and writing files, with failures that name the file.
 
 use std::fs;
 use std::path::Path;
@@ -34,11 +34,11 @@ pub fn read_calibration(path: &Path) -> Result<Calibration, Failure> {
         .map_err(|error| Failure::failed(format!("{}: {error}", path.display())))
 }
 
-/// The image sensor of a calibration that is asked for by its name, as `camera` or `camera.sensor`
-/// of a rig; without a name, that of an instrument that is one camera. `file` is where it was read.
+/// The image sensor of a calibration with the requested name, which is `camera` or `camera.sensor`
+/// in a rig; without a name, that of a single camera. `file` is the calibration's path.
 ///
 /// # Errors
-/// When there is no such sensor, or several and none is asked for.
+/// When there is no such sensor, or there are several and none was requested.
 pub fn image_sensor<'a>(
     calibration: &'a Calibration,
     asked: Option<&str>,
@@ -60,12 +60,12 @@ pub fn image_sensor<'a>(
     })
 }
 
-/// Whether both paths are of one file or folder that is there.
+/// Whether both paths refer to the same existing file or folder.
 pub fn same_file(one: &Path, other: &Path) -> bool {
     matches!((one.canonicalize(), other.canonicalize()), (Ok(one), Ok(other)) if one == other)
 }
 
-/// Refuses to write over a file that the command reads.
+/// Refuses to overwrite a file that the command reads.
 ///
 /// # Errors
 /// When `out` is one of `read`.
@@ -79,8 +79,8 @@ pub fn check_not_read(out: &Path, read: &[&Path]) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Refuses to write what is no image over an image or a recording: an option without its value
-/// takes the first of them.
+/// Refuses to overwrite an image or a recording with something else: an option whose value was
+/// forgotten takes the first source as its value.
 ///
 /// # Errors
 /// When `out` is one.
@@ -94,8 +94,8 @@ pub fn check_no_image(option: &str, out: &Path) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Writes a file whole or not at all: beside its name first, then into place. A link stays, and
-/// what it leads to is written; so does a device or a pipe, which is written to.
+/// Writes a file completely or not at all: first to a temporary name beside it, then renamed. A
+/// link is kept and its target is written. A device or a pipe is written to directly.
 ///
 /// # Errors
 /// When the folder cannot be written to.

@@ -1,4 +1,4 @@
-//! `plumb focus`: what a lens shows sharply, and the board to use with it.
+//! `plumb focus`: the depth of field of a lens, and the board to use with it.
 
 use crate::cli::length::Length;
 use crate::cli::{Failure, output};
@@ -38,7 +38,7 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// A usage failure for a lens that cannot be.
+/// A usage failure for impossible lens parameters.
 pub fn run(args: &Args) -> Result<(), Failure> {
     let lens = ThinLens {
         focal_m: args.focal.meters,

@@ -1,4 +1,4 @@
-//! From searched images to the views of a calibration.
+//! Collects the views of a calibration from searched images.
 
 use std::collections::BTreeMap;
 
@@ -19,32 +19,32 @@ use crate::estimation::problem::{BoardView, CameraProblem, LensChoice};
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::target::Target;
 
-/// Fewer corners do not determine a board's pose and say anything about the lens.
+/// Fewer corners cannot determine a board's pose and also add information about the lens.
 const LEAST_CORNERS: usize = 6;
 
-/// What the images amount to. An image that was chosen by hand (a file, one of a folder) is a
-/// view if the board is seen in it; frames of a recording go through a session, which keeps the
-/// sharp, still and different ones, as it would live.
+/// Collects views from images. An image that was chosen by hand (a file, or one of a folder) is a
+/// view if the board is found in it. The frames of a recording go through a session, which keeps
+/// those that are sharp, still and different from each other, as it would live.
 #[derive(Debug)]
 pub struct ImageGathering {
     target: Target,
     /// The first image's name and size.
     size: Option<(String, ImageSize)>,
-    /// Every image in order: a view, or why it is none. Frames of a recording that its session
-    /// did not keep are left out.
+    /// Every image in order: a view, or the reason why it is none. Frames of a recording that its
+    /// session did not keep are not included.
     images: Vec<Result<BoardView, (String, String)>>,
     session: Option<(String, Session)>,
     searched: usize,
     /// How many of them state a rotation, which is not applied.
     rotated: usize,
-    /// Of images without the target: why, and the line that names the image too.
+    /// For each image without the target: the reason, and the line that also names the image.
     reasons: Vec<(String, String)>,
-    /// Of the first image that shows the target.
+    /// The markers in the first image that shows the target.
     markers: Option<BoardMarkers>,
 }
 
 impl ImageGathering {
-    /// Nothing yet.
+    /// Without any images.
     pub fn new(target: Target) -> Self {
         Self {
             target,
@@ -85,11 +85,11 @@ impl ImageGathering {
         Ok(())
     }
 
-    /// The problem that the views pose, and the images that are no views, each with its place
-    /// among all.
+    /// The problem with the views, and the images that are no views, each with its position among
+    /// all images.
     ///
     /// # Errors
-    /// When the board was seen in none.
+    /// When the board was found in none.
     pub fn finish(mut self) -> Result<(CameraProblem, Vec<(usize, CalibratedView)>), Failure> {
         self.end_recording();
         let (count, line) = self.commonest_reason();
@@ -114,12 +114,12 @@ impl ImageGathering {
         }
     }
 
-    /// The target, with what its markers say of how it is printed.
+    /// The target, as printed according to its markers.
     pub fn target_as_seen(&self) -> Target {
         self.markers.map_or(self.target, |markers| markers.as_printed(&self.target))
     }
 
-    /// How many images had the commonest reason, and the line of the first of them.
+    /// How many images had the most frequent reason, and the line of the first of them.
     fn commonest_reason(&self) -> (usize, String) {
         let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
         for (reason, _) in &self.reasons {
@@ -201,10 +201,10 @@ pub fn gather(args: &SearchArgs, target: Target) -> Result<ImageGathering, Failu
     Ok(gathered)
 }
 
-/// Whether an image has the size of the `first`, which it is where there is none yet.
+/// Checks that an image has the same size as the `first`, which it becomes if there is none yet.
 ///
 /// # Errors
-/// When it has not, with both.
+/// When the sizes differ, with both.
 pub(super) fn check_size(
     first: &mut Option<(String, ImageSize)>,
     image: &SearchedImage,
@@ -220,12 +220,13 @@ pub(super) fn check_size(
     )))
 }
 
-/// Why an image that shows what another shows is no view.
+/// The reason for an image that shows the same as another one.
 pub(super) fn same_as(name: &str) -> String {
     format!("the same view as {name}: it counts once")
 }
 
-/// An image that is no view; its reason without its name, which stands before it.
+/// An image that is not a view; its reason is stored without the image's name, which is printed
+/// before it.
 pub(super) fn unused(name: String, reason: &str) -> CalibratedView {
     let reason = reason.strip_prefix(&format!("{name}: ")).unwrap_or(reason).to_owned();
     CalibratedView {

@@ -1,12 +1,12 @@
-//! Work on a sequence with several threads, results in the sequence's order.
+//! Processes a sequence with several threads; results come in the order of the sequence.
 
 use std::collections::BTreeMap;
 use std::sync::Mutex;
 use std::sync::mpsc::sync_channel;
 use std::thread;
 
-/// Calls a worker on each of `items` and `take` on each result, in the order of the items, as soon
-/// as it is there. Each of the `threads` has a worker of its own from `new_worker`. Stops at the
+/// Calls a worker on each of `items`, and `take` on each result as soon as it is available, in the
+/// order of the items. Each of the `threads` gets its own worker from `new_worker`. Stops at the
 /// first error of `take`.
 ///
 /// # Errors
@@ -30,8 +30,8 @@ where
             scope.spawn(move || {
                 let mut worker = new_worker();
                 loop {
-                    // A poisoned lock means that another thread panicked, which the scope passes
-                    // on.
+                    // A poisoned lock means that another thread panicked; the scope passes the
+                    // panic on.
                     let Some((index, item)) = items.lock().ok().and_then(|mut items| items.next())
                     else {
                         return;
@@ -55,7 +55,7 @@ where
     })
 }
 
-/// How many threads to use when nobody says.
+/// The number of threads to use by default.
 pub fn all_cores() -> usize {
     thread::available_parallelism().map_or(1, std::num::NonZero::get)
 }

@@ -2,7 +2,8 @@
 
 use std::str::FromStr;
 
-/// A length given on the command line. A bare number is refused: 25 could be millimeters or meters.
+/// A length given on the command line. A number without a unit is refused: 25 could be millimeters
+/// or meters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Length {
     /// In meters.
@@ -27,8 +28,8 @@ impl FromStr for Length {
             .find_map(|(unit, per_meter)| Some((text.trim().strip_suffix(unit)?, per_meter)))
             .ok_or_else(not_a_length)?;
         let number: f64 = number.trim().parse().map_err(|_| not_a_length())?;
-        // Divided, not multiplied: 25 / 1000 is the double nearest to 0.025, 25 · 0.001 is not
-        // always.
+        // Divided, not multiplied: 25 / 1000 is the double nearest to 0.025, while 25 · 0.001 may
+        // not be.
         let meters = number / per_meter;
         if meters.is_finite() && meters > 0.0 { Ok(Self { meters }) } else { Err(not_a_length()) }
     }

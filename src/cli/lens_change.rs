@@ -1,21 +1,22 @@
-//! How far one lens projects from another, and how much of that can be chance.
+//! The difference between the projections of two lenses, and how much of it can be due to chance.
 
 use crate::estimation::uncertainty::{UncertaintyMap, projection_difference};
 use crate::geometry::lens::Lens;
 use crate::geometry::median::median;
 
-/// What a lens that images show says of the calibrated one, in the median over the image.
+/// The comparison of a lens estimated from images with the calibrated one, as medians over the
+/// image.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct LensChange {
-    /// How far it projects from the calibrated one, after the best compensating rotation.
+    /// The difference of their projections, after the best compensating rotation.
     pub seen_px: f64,
-    /// The least such change that these images show.
+    /// The smallest difference that is significant with these images.
     pub visible_px: f64,
 }
 
 impl LensChange {
-    /// Between the `calibrated` lens and the one that is `seen`, with its uncertainty, of which so
-    /// many standard deviations, `sigmas`, are no chance.
+    /// Between the `calibrated` lens and the `seen` one, which has this uncertainty; a difference
+    /// of more than `sigmas` standard deviations is significant.
     pub fn between(
         calibrated: &Lens,
         seen: &Lens,

@@ -1,9 +1,9 @@
-//! The command line: one file a command, each with its `Args` and its `run`.
+//! The command line: one file for each command, with its `Args` and its `run`.
 //!
-//! A command writes its result to stdout through [`output`], and nothing else goes there: logs and
-//! progress go to stderr. With `--json` the result is exactly one JSON document, or a line of JSON
-//! for each item where the command says so. What goes wrong is a [`Failure`]: one line and an exit
-//! code, printed here and nowhere else.
+//! A command writes its result to stdout through [`output`], and nothing else is written there:
+//! logs and progress go to stderr. With `--json`, the result is exactly one JSON document, or one
+//! line of JSON for each item where the command states it. An error is a [`Failure`]: one line and
+//! an exit code, printed here and nowhere else.
 //!
 //! A new command is a file, a variant of `Command`, and an arm of `dispatch`.
 
@@ -120,8 +120,8 @@ fn dispatch(command: Command) -> Result<(), Failure> {
     }
 }
 
-/// Runs the command that `arguments` (the program's name first) asks for, and says what went wrong
-/// in one line on stderr.
+/// Runs the command that `arguments` (the program's name first) request, and prints an error as one
+/// line on stderr.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     let outcome = match Arguments::try_parse_from(arguments) {
         Ok(arguments) => {
@@ -146,7 +146,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     }
 }
 
-/// clap's explanation on one line: what was wrong, its tip, and where to read on.
+/// clap's message on one line: what was wrong, its suggestion, and where to read more.
 fn one_line(error: &clap::Error) -> String {
     if error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
         return "a command is missing; see `plumb --help`".to_owned();
@@ -160,12 +160,12 @@ fn one_line(error: &clap::Error) -> String {
     format!("{}; see --help", paragraphs.join("; "))
 }
 
-/// Log events of the libraries and the daemon, as the environment variable `RUST_LOG` asks;
-/// warnings unless it does.
+/// Logs the events of the libraries and the daemon at the level in the environment variable
+/// `RUST_LOG`; without it, warnings, and information from this program.
 fn log_to_stderr() {
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn,plumb=info"));
-    // Only the first of several runs in one process sets the logs up.
+    // If several commands run in one process, only the first one sets up logging.
     let _ = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_ansi(std::io::stderr().is_terminal())

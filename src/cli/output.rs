@@ -1,4 +1,4 @@
-//! Where a command's result goes: stdout, and nothing but the result.
+//! A command's result on stdout, where nothing else is written.
 
 use std::io::{self, Write};
 
@@ -17,7 +17,7 @@ pub fn print_json(document: &impl Serialize) -> Result<(), Failure> {
     print_line(&json)
 }
 
-/// Writes `line` and a line end.
+/// Writes `line` and a newline.
 ///
 /// # Errors
 /// When stdout cannot be written to.
@@ -29,7 +29,7 @@ pub fn print_line(line: &str) -> Result<(), Failure> {
         .map_err(|error| closed(&error))
 }
 
-/// Writes `text` as it is.
+/// Writes `text` unchanged.
 ///
 /// # Errors
 /// When stdout cannot be written to.
@@ -37,7 +37,7 @@ pub fn print_text(text: &str) -> Result<(), Failure> {
     print_bytes(text.as_bytes())
 }
 
-/// Writes `bytes` as they are.
+/// Writes `bytes` unchanged.
 ///
 /// # Errors
 /// When stdout cannot be written to.
@@ -48,7 +48,7 @@ pub fn print_bytes(bytes: &[u8]) -> Result<(), Failure> {
 
 /// Writes the one line of a failure to stderr.
 pub fn print_error(line: &str) {
-    // With stderr closed, nobody reads it.
+    // If stderr is closed, there is nothing to do about it.
     let _ = writeln!(io::stderr(), "plumb: {line}");
 }
 

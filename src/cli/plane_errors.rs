@@ -1,4 +1,4 @@
-//! Depth's error on a board that color sees, before and after correction, as numbers and as an
+//! The error of depth on a board that color sees, before and after correction, as numbers and as an
 //! image.
 
 use serde::Serialize;
@@ -23,7 +23,7 @@ use crate::imaging::frame::Frame;
 use crate::imaging::frame::SensorKind;
 use crate::imaging::gray::GrayImage;
 
-/// Measures depth by the board in color's images.
+/// Measures the error of depth relative to the board's plane, as found in color images.
 pub struct PlaneErrors {
     board: Target,
     color: Lens,
@@ -35,7 +35,7 @@ pub struct PlaneErrors {
     image: GrayImage,
 }
 
-/// Depth less that of the board's plane, in meters.
+/// The measured depth minus that of the board's plane, in meters.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct OffPlane {
     mean_m: f64,
@@ -57,7 +57,7 @@ impl BeforeAndAfter {
 }
 
 impl PlaneErrors {
-    /// For the camera of `calibration`, by its own board.
+    /// For the camera of `calibration` and its board.
     ///
     /// # Errors
     /// For a calibration without a board, color, depth or the pose between them.
@@ -84,8 +84,8 @@ impl PlaneErrors {
         })
     }
 
-    /// The error of `image` on the board, as numbers and as an image; `None` where `color` does
-    /// not show the board, or depth has no reading of it.
+    /// The error of `image` on the board, as numbers and as an image; `None` where `color` does not
+    /// show the board, or depth has no readings on it.
     ///
     /// # Errors
     /// For a color image that cannot be read, or is of another size than the calibration's.
@@ -136,7 +136,7 @@ impl PlaneErrors {
     }
 }
 
-/// What is written above the drawing of the errors `before` or `after` correction.
+/// The label above the drawing of the errors, where `when` is before or after correction.
 fn label(when: &str, rms_m: f64) -> String {
     format!("{when} {:.2} mm rms", 1e3 * rms_m)
 }

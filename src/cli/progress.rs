@@ -1,4 +1,4 @@
-//! Progress of long work, on stderr; hidden when that is not a terminal.
+//! Progress of long operations, on stderr; hidden if that is not a terminal.
 
 use indicatif::{ProgressBar, ProgressStyle};
 

@@ -1,4 +1,4 @@
-//! `plumb detect --target auto`: which board each image shows.
+//! `plumb detect --target auto`: recognizes the board in each image.
 
 use std::time::Instant;
 
@@ -13,7 +13,7 @@ use crate::detection::target_in_view::target_in_view;
 use crate::document::target_in_view::TargetInViewDocument;
 use crate::imaging::gray::GrayImage;
 
-/// What is printed for an image.
+/// The output for one image.
 #[derive(Debug, Serialize)]
 struct RecognizedLine {
     path: String,

@@ -1,4 +1,4 @@
-//! `plumb record`: what a configured camera gives, as a recording.
+//! `plumb record`: writes the frames of a configured camera to a recording.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -15,7 +15,7 @@ use crate::imaging::factory::FactoryCalibration;
 use crate::imaging::frame::FrameSet;
 use crate::recording::{McapWriter, RecordingError, RepairedRecording, Ros2Writer, repair};
 
-/// How long one wait for a frame is: a request to stop is seen between two.
+/// The longest wait for a frame: between two waits, a request to stop is noticed.
 const WAIT: Duration = Duration::from_millis(200);
 
 /// Records what a configured camera gives, until it ends, N seconds have passed, or Ctrl-C
@@ -45,7 +45,7 @@ pub struct Args {
 }
 
 impl Args {
-    /// The camera's name; clap has seen to it that there is one unless a recording is repaired.
+    /// The camera's name; clap ensures that there is one unless a recording is repaired.
     fn camera(&self) -> &str {
         self.camera.as_deref().unwrap_or_default()
     }
@@ -109,7 +109,7 @@ struct Recorded<'a> {
 ///
 /// # Errors
 /// When there is no such camera, it cannot be opened or is lost, or the file cannot be written.
-/// What was recorded until then stays.
+/// What was recorded until then is kept.
 pub fn run(args: &Args) -> Result<(), Failure> {
     if let Some(path) = &args.repair {
         return repaired(path, args.json);
@@ -211,7 +211,7 @@ fn find_camera<'a>(config: &'a Config, args: &Args) -> Result<&'a CameraConfig, 
     })
 }
 
-/// Set by the first Ctrl-C, so that the file is finished.
+/// Set by the first Ctrl-C, so that the file is completed.
 fn stopped_by_signal() -> Result<Arc<AtomicBool>, Failure> {
     let stop = Arc::new(AtomicBool::new(false));
     let seen = Arc::clone(&stop);

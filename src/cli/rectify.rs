@@ -1,4 +1,4 @@
-//! `plumb rectify`: images of two cameras with their epipolar lines horizontal.
+//! `plumb rectify`: writes images of two cameras with horizontal epipolar lines.
 
 use std::path::PathBuf;
 
@@ -25,10 +25,10 @@ use crate::imaging::image_file::is_image;
 use crate::imaging::rectify::rectifying_maps;
 use crate::imaging::remap::{Interpolation, PixelMap};
 
-/// Frames further from each other in time than this were not taken together, in nanoseconds: half
-/// of what lies between frames at 60 a second.
+/// Frames with a larger time difference than this were not taken together, in nanoseconds: half of
+/// the interval between frames at 60 a second.
 const TOGETHER_NS: i64 = 8_000_000;
-/// The side of a square, which has no influence on where a board is.
+/// The side of a square, which does not affect where a board is found.
 const ANY_SQUARE_M: f64 = 0.025;
 
 /// Writes the images of two cameras so that what one shows in a row the other shows in the same
@@ -74,7 +74,7 @@ struct RectificationReport {
     axis: &'static str,
     baseline_m: f64,
     image_size: [u32; 2],
-    /// From (x, y, disparity, 1) to homogeneous coordinates in the left rectified frame.
+    /// Maps (x, y, disparity, 1) to homogeneous coordinates in the left rectified frame.
     q: [[f64; 4]; 4],
     cameras: [RectifiedCameraReport; 2],
     pairs: Vec<RectifiedImages>,
@@ -87,7 +87,7 @@ struct RectifiedCameraReport {
     name: String,
     r: [[f64; 3]; 3],
     p: [[f64; 4]; 3],
-    /// The part of the rectified image that the camera sees.
+    /// The fraction of the rectified image that the camera sees.
     seen_fraction: f64,
 }
 
@@ -95,22 +95,22 @@ struct RectifiedCameraReport {
 struct RectifiedImages {
     images: [String; 2],
     out: [String; 2],
-    /// Differences of the rows of the board's corners; null where they are not measured.
+    /// Row differences of the board's corners; null if they were not measured.
     rows: Option<RowDifferences>,
-    /// Why not.
+    /// Why they were not measured.
     reason: Option<String>,
 }
 
-/// Rows of rectified images that differ by more than this, in pixels rms, are not of one moment of
-/// the calibrated pair. Chosen, not swept: the calibrated pairs of opencv-samples give 0.09,
-/// with the cameras exchanged 22.7, with other frames 40.3 and more.
+/// If the rows of rectified images differ by more than this, in pixels rms, the images were not
+/// taken at the same time by the calibrated pair. Chosen, not swept: the calibrated pairs of
+/// opencv-samples give 0.09, with the cameras exchanged 22.7, with other frames 40.3 and more.
 const NO_PAIR_PX: f64 = 5.0;
 
 /// Runs the command.
 ///
 /// # Errors
-/// When the calibration is of no stereo pair, an image cannot be read or written, or the images are
-/// not of one moment of the pair.
+/// When the calibration is not of a stereo pair, an image cannot be read or written, or the images
+/// were not taken at the same time by the pair.
 pub fn run(args: &Args) -> Result<(), Failure> {
     if !(0.0..=1.0).contains(&args.alpha) {
         return Err(Failure::usage(format!("--alpha {}: give a number from 0 to 1", args.alpha)));
@@ -147,7 +147,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     report(args, &pair, &rectifier, pairs)
 }
 
-/// The board that rows are measured by; `None` where none is known.
+/// The board for measuring row differences; `None` if none is known.
 fn target(args: &Args, calibrated: Option<Target>) -> Result<Option<Target>, Failure> {
     Ok(match (args.board, &args.target) {
         (Some(board), _) => {
@@ -158,7 +158,7 @@ fn target(args: &Args, calibrated: Option<Target>) -> Result<Option<Target>, Fai
     })
 }
 
-/// The pair that is asked for, the left camera first, and its rectification.
+/// The requested pair, the left camera first, and its rectification.
 fn stereo(
     args: &Args,
     calibration: &Calibration,
@@ -184,8 +184,8 @@ fn stereo(
     Ok((pair, stereo))
 }
 
-/// Where images of both cameras have names in common, those of equal names were taken together, and
-/// each has to have its other.
+/// If the images of both cameras have names in common, images with equal names were taken together,
+/// and each must have its counterpart.
 fn check_names(args: &Args) -> Result<(), Failure> {
     let names = |source: &String| -> Vec<String> {
         let files = files_of(source).into_iter().filter(|file| is_image(file));
@@ -207,7 +207,7 @@ fn check_names(args: &Args) -> Result<(), Failure> {
     )))
 }
 
-/// A frame of each camera; `None` at the end of both.
+/// A frame of each camera, taken together; `None` at the end of both.
 fn taken_together(
     left: Option<Result<SourcedFrames, Unreadable>>,
     right: Option<Result<SourcedFrames, Unreadable>>,
@@ -246,7 +246,7 @@ fn taken_together(
 struct Rectifier {
     maps: [PixelMap; 2],
     stereo: StereoRectification,
-    /// Whose images they are.
+    /// The sensors of the images.
     sensors: [SensorKind; 2],
     folders: [PathBuf; 2],
     files: ResultFiles,
@@ -275,7 +275,7 @@ impl Rectifier {
         })
     }
 
-    /// The differences between the rows of a board's corners; why there are none.
+    /// The row differences of a board's corners, or the reason why there are none.
     fn differences(&mut self, gray: &[GrayImage]) -> Result<Vec<f64>, String> {
         let finder = self.finder.as_mut().ok_or("no board is known to measure rows by")?;
         let options = DetectOptions { allow_partial: true };
@@ -289,7 +289,7 @@ impl Rectifier {
     }
 }
 
-/// One image rectified: its luma, and the file.
+/// One rectified image: its luma, and the file.
 fn rectified(
     (frames, sensor): (&SourcedFrames, SensorKind),
     map: &PixelMap,

@@ -1,4 +1,5 @@
-//! Images that a command writes: their names, PNG, and where none may be written.
+//! The images that a command writes: their names, their encoding, and which files they may not
+//! replace.
 
 use std::collections::BTreeSet;
 use std::io::Cursor;
@@ -12,7 +13,8 @@ use crate::imaging::decode;
 use crate::imaging::frame::Frame;
 use crate::imaging::remap::{Interpolation, PixelMap};
 
-/// The files that a command writes from images: none over an image that it reads, and none twice.
+/// The files that a command writes from images: none replaces an image that the command reads, and
+/// none is written twice.
 #[derive(Debug)]
 pub(super) struct ResultFiles {
     read: BTreeSet<PathBuf>,
@@ -20,17 +22,17 @@ pub(super) struct ResultFiles {
 }
 
 impl ResultFiles {
-    /// Of a command that reads `sources`.
+    /// For a command that reads `sources`.
     pub(super) fn of<'a>(sources: impl IntoIterator<Item = &'a String>) -> Self {
         let files = sources.into_iter().flat_map(|source| files_of(source));
         let read = files.filter_map(|file| file.canonicalize().ok()).collect();
         Self { read, written: BTreeSet::new() }
     }
 
-    /// Writes what became of the image `path`.
+    /// Writes the result for the image `path`.
     ///
     /// # Errors
-    /// A line for a file that may not be written over, and what the system refuses.
+    /// A line for a file that may not be overwritten, or with the system's error.
     pub(super) fn write(&mut self, path: &str, out: &Path, bytes: &[u8]) -> Result<(), String> {
         if out.canonicalize().is_ok_and(|known| self.read.contains(&known)) {
             let name = out.display();
@@ -46,8 +48,8 @@ impl ResultFiles {
     }
 }
 
-/// The image's name with the ending .png; for a frame of a recording the recording's name and the
-/// sequence number.
+/// The image's name with the extension .png; for a frame of a recording, the recording's name and
+/// the sequence number.
 pub(super) fn result_name(frames: &SourcedFrames) -> String {
     let stem =
         |path: &str| Path::new(path).file_stem().unwrap_or_default().to_string_lossy().into_owned();
@@ -63,8 +65,8 @@ pub(super) fn result_name(frames: &SourcedFrames) -> String {
     }
 }
 
-/// A frame through `map`, as a PNG file: with 16 bits where it has them and is gray. `None` if it
-/// has another size than the map's.
+/// A frame mapped through `map`, as a PNG file; with 16 bits if it is gray and has them. `None` if
+/// its size is not the map's.
 pub(super) fn mapped_png(frame: &Frame, map: &PixelMap) -> Result<Option<Vec<u8>>, String> {
     let mapped = match decode::gray16(frame).map_err(|error| error.to_string())? {
         Some(deep) => map.gray16(&deep, Interpolation::Bicubic).map(DynamicImage::ImageLuma16),
@@ -82,7 +84,7 @@ fn png(image: &DynamicImage) -> Result<Vec<u8>, image::ImageError> {
     Ok(bytes.into_inner())
 }
 
-/// Gray for an image without colors.
+/// A gray image if the image has no colors.
 fn gray_or_color(image: RgbImage) -> DynamicImage {
     let gray = image.pixels().all(|pixel| pixel[0] == pixel[1] && pixel[1] == pixel[2]);
     if gray {

@@ -1,5 +1,5 @@
-//! `plumb calibrate --rig NAME=SOURCE …`: cameras that are fixed to each other, each from its own
-//! folder or recording, in one solve.
+//! `plumb calibrate --rig NAME=SOURCE …`: calibrates cameras that are fixed to each other in one
+//! solve, each from its own folder or recording.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -32,11 +32,12 @@ use crate::geometry::pixel::ImageSize;
 use crate::geometry::target::Target;
 use crate::imaging::frame::SensorKind;
 
-/// Frames of two recordings nearer in time than this were taken together, in nanoseconds: half of
-/// what lies between frames at 60 a second. A board that moves meanwhile is not shared.
+/// Frames of two recordings with a smaller time difference than this were taken together, in
+/// nanoseconds: half of the interval between frames at 60 a second. A board that moves meanwhile is
+/// not shared.
 const TOGETHER_NS: i64 = 8_000_000;
 
-/// A camera of the rig, as it is given.
+/// A camera of the rig, as given on the command line.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NamedSource {
     /// The camera's name.
@@ -58,7 +59,8 @@ pub fn named_source(text: &str) -> Result<NamedSource, String> {
 /// Calibrates the rig.
 ///
 /// # Errors
-/// When sources cannot be read or have nothing in common, or the views leave something open.
+/// When sources cannot be read or have no frames in common, or the views do not determine
+/// everything.
 pub fn calibrate(
     cameras: &[NamedSource],
     search: &SearchArgs,
@@ -128,11 +130,11 @@ pub fn calibrate(
     Ok(solved)
 }
 
-/// A camera's folder or recording, searched.
+/// The search results of a camera's folder or recording.
 #[derive(Default)]
 struct SearchedSource {
     images: Vec<SearchedImage>,
-    /// Images of a folder that are no views, each with its place among all.
+    /// Images of a folder that are no views, each with its position among all images.
     unused: Vec<(usize, CalibratedView)>,
 }
 
@@ -175,7 +177,7 @@ impl SearchedSource {
         Ok(all)
     }
 
-    /// Adds the images of a folder that became none of `views`, with why.
+    /// Adds the images of a folder that became none of `views`, with the reasons.
     fn add_unused(
         &mut self,
         searched: &[SearchedImage],
@@ -204,8 +206,8 @@ impl SearchedSource {
     }
 }
 
-/// Views by camera without frame sets that every camera sees as it saw one before them; and of each
-/// view left out the name of that before.
+/// Views by camera, without the frame sets that every camera sees exactly as an earlier one; and,
+/// for each view left out, the name of the earlier one.
 fn without_copies(
     mut cameras: Vec<Vec<FrameSetView>>,
 ) -> (Vec<Vec<FrameSetView>>, BTreeMap<String, String>) {
@@ -237,11 +239,11 @@ fn without_copies(
     (cameras, copies)
 }
 
-/// Camera by camera, which of its frames is in the frame set.
+/// The index of each camera's frame in the frame set, camera by camera.
 type FrameSetOf = Vec<Option<usize>>;
 
-/// The frames that were taken together: those of equal names in folders, of equal times in
-/// recordings.
+/// The frames that were taken together: in folders those with equal names, in recordings those with
+/// equal times.
 fn frame_sets(
     cameras: &[NamedSource],
     searched: &[Vec<SearchedImage>],
@@ -285,8 +287,8 @@ fn by_name(searched: &[Vec<SearchedImage>]) -> Vec<FrameSetOf> {
     sets.into_iter().map(|(_, frames)| frames).collect()
 }
 
-/// Goes through all recordings in time; a frame set ends where a camera gives its second frame, or
-/// with a frame that is later than its first by [`TOGETHER_NS`].
+/// Goes through all recordings in order of time; a frame set ends where a camera has its second
+/// frame, or at a frame that is later than the first by [`TOGETHER_NS`].
 fn by_time(searched: &[Vec<SearchedImage>]) -> Vec<FrameSetOf> {
     let mut frames: Vec<(i64, usize, usize)> = Vec::new();
     for (camera, own) in searched.iter().enumerate() {
@@ -310,8 +312,8 @@ fn by_time(searched: &[Vec<SearchedImage>]) -> Vec<FrameSetOf> {
     sets.into_iter().map(|(_, frames)| frames).collect()
 }
 
-/// Camera by camera, the frames that become views, each with its frame set: all with a board of
-/// folders, of recordings what a session keeps.
+/// Camera by camera, the frames that become views, each with its frame set: from folders all with a
+/// board, from recordings those that a session keeps.
 fn kept(
     cameras: &[NamedSource],
     searched: &[Vec<SearchedImage>],
@@ -402,7 +404,7 @@ fn observations(
     })
 }
 
-/// The lens of a calibration that is to be held.
+/// The lens of a calibration that is to be held fixed.
 fn given_lens(given: &GivenLens, size: Option<ImageSize>) -> Result<Lens, Failure> {
     let file = given.calibration.display();
     if given.sensor != SensorKind::Color {

@@ -1,22 +1,22 @@
-//! How far the corners of a board are from the same row in two rectified images.
+//! The row differences of a board's corners in two rectified images.
 
 use serde::Serialize;
 
 use crate::detection::board_detection::{Detection, GridIndex};
 use crate::geometry::rectification::StereoAxis;
 
-/// Differences of the rows (of the columns, for cameras one above the other), in pixels.
+/// Differences in row (in column, for cameras one above the other), in pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub(super) struct RowDifferences {
     pub corners: usize,
-    /// The second image's row less the first one's, on the average.
+    /// The second image's row minus the first one's, on average.
     pub mean_px: f64,
     pub rms_px: f64,
     pub worst_px: f64,
 }
 
 impl RowDifferences {
-    /// Of these differences; `None` of none.
+    /// The statistics of these differences; `None` if there are none.
     pub fn of(differences: &[f64]) -> Option<Self> {
         let count = differences.len() as f64;
         let mean_of = |value: fn(f64) -> f64| {
@@ -31,10 +31,10 @@ impl RowDifferences {
     }
 }
 
-/// The differences of the corners that both images show.
+/// The row differences of the corners that both images show.
 ///
 /// # Errors
-/// Why corners of one cannot be found in the other, in words.
+/// Why the corners of one image cannot be matched to the other's, in words.
 pub(super) fn differences(
     detections: [&Detection; 2],
     axis: StereoAxis,
@@ -43,7 +43,8 @@ pub(super) fn differences(
     if !(first.position_known && second.position_known) {
         return Err("only part of the board is seen, and not which");
     }
-    // Of a board that no image says the way round of, the one with which the rows agree better.
+    // If no image shows the orientation of a symmetric board, the one with the smaller row
+    // differences is taken.
     let found = ways_round(first).into_iter().map(|index_in_second| {
         let pairs = first.corners.iter().filter_map(|corner| {
             let index = index_in_second(first, corner.index);

@@ -1,4 +1,4 @@
-//! What is known of the depth that comes with the images of a scene.
+//! What is known about the depth that comes with the images of a scene.
 
 use std::path::Path;
 
@@ -11,11 +11,11 @@ use crate::imaging::factory::FactoryCalibration;
 use crate::imaging::frame::SensorKind;
 use crate::recording::{ReadOptions, Recording};
 
-/// What the device of all `sources` states of its depth, whose images are of `size`. Sources that
-/// state it differently are of several devices: of their depth nothing is known.
+/// What the device of all `sources` states about its depth; their images are of `size`. If sources
+/// state different things, they are of several devices, and nothing is known about their depth.
 ///
 /// # Errors
-/// Why a source's statements cannot be read, in one line.
+/// The reason why a source's statements cannot be read, in one line.
 pub(super) fn stated_depth(sources: &[String], size: ImageSize) -> Result<DepthSensor, String> {
     let mut known: Option<DepthSensor> = None;
     for source in sources {
@@ -29,7 +29,7 @@ pub(super) fn stated_depth(sources: &[String], size: ImageSize) -> Result<DepthS
     Ok(known.unwrap_or_else(|| depth_sensor(&FactoryCalibration::default(), size)))
 }
 
-/// What a source states of its sensors; `None` for images, which state nothing.
+/// What a source states about its sensors; `None` for images, which state nothing.
 fn stated_by(source: &str) -> Result<Option<FactoryCalibration>, String> {
     let path = Path::new(source);
     if !path.is_dir() && !is_recording(path) {

@@ -1,4 +1,4 @@
-//! Images of a static scene, with their features, and the depth images that were taken with them.
+//! Images of a static scene with their features, and the depth images that were taken with them.
 
 use std::sync::Arc;
 
@@ -14,20 +14,20 @@ use crate::imaging::gray::GrayImage;
 use crate::imaging::nominal_focal::{NominalFocal, nominal_focal};
 use crate::imaging::stated_camera::{stated_camera, states_rotation};
 
-/// Images used at most: of more, as of a video, every so manyth is taken.
+/// The most images that are used: of more, as in a video, an evenly spaced selection is taken.
 const MAX_IMAGES: usize = 60;
 
-/// What is read of the images of a scene.
+/// The images of a scene.
 pub(super) struct SceneImages {
     /// The features of every image, in order.
     pub images: Vec<SceneImage>,
     /// The depth image taken with each; `None` where there is none.
     pub depth: Vec<Option<Arc<DepthImage>>>,
-    /// The focal length that all files state alike.
+    /// The focal length stated by the files, if all state the same.
     pub nominal_focal: Option<NominalFocal>,
 }
 
-/// One of them.
+/// One image.
 struct ReadImage {
     image: SceneImage,
     depth: Option<Arc<DepthImage>>,
@@ -35,11 +35,12 @@ struct ReadImage {
     states_rotation: bool,
 }
 
-/// Finds the features of the images that `frame_sets` gives, called once to count them. Frame sets
-/// without an image, as of sensors that are not taken together, are passed over unless all are.
+/// Finds the features of the images that `frame_sets` returns; it is called once to count them.
+/// Frame sets without an image, as from sensors that are not taken together, are skipped unless
+/// none has one.
 ///
 /// # Errors
-/// When an image cannot be read, of light or of depth.
+/// When an image or a depth image cannot be read.
 pub(super) fn scene_images<'a>(
     frame_sets: impl Fn() -> FrameSets<'a>,
     threads: usize,
@@ -52,7 +53,7 @@ pub(super) fn scene_images<'a>(
     if count > MAX_IMAGES {
         tracing::warn!("{MAX_IMAGES} of {count} images are taken, evenly over all");
     }
-    // Of so many, the one in which the number of those taken grows.
+    // An image is taken where the rounded number of images taken grows.
     let is_chosen = |place: usize| {
         count <= MAX_IMAGES || (place + 1) * MAX_IMAGES / count > place * MAX_IMAGES / count
     };

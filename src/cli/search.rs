@@ -1,4 +1,4 @@
-//! Searches frame sets for a board: what `plumb detect` prints and `plumb calibrate` gathers.
+//! The search for a board in frame sets, for `plumb detect` and `plumb calibrate`.
 
 use std::time::Instant;
 
@@ -16,7 +16,7 @@ use crate::imaging::stated_camera::states_rotation;
 /// An image that was searched for the board.
 #[derive(Debug)]
 pub struct SearchedImage {
-    /// Its path; for a frame of a recording with its number.
+    /// Its path; for a frame of a recording, with its number.
     pub path: String,
     /// The recording it is part of.
     pub recording: Option<String>,
@@ -30,8 +30,8 @@ pub struct SearchedImage {
     pub elapsed_ms: f64,
 }
 
-/// A function that searches for `target` in the image of a frame set, `repeat` times over. It keeps
-/// its buffers.
+/// A function that searches for `target` in the image of a frame set, `repeat` times. Its buffers
+/// are reused.
 pub fn searcher(
     target: &Target,
     options: DetectOptions,
@@ -62,7 +62,7 @@ pub fn searcher(
     }
 }
 
-/// What there is to know about the image of a frame set.
+/// The facts about the image of a frame set.
 pub(super) fn frame_facts(frames: &SourcedFrames, image_size: ImageSize) -> FrameFacts {
     FrameFacts {
         sequence: frames.set.sequence,
@@ -73,13 +73,13 @@ pub(super) fn frame_facts(frames: &SourcedFrames, image_size: ImageSize) -> Fram
     }
 }
 
-/// The luma of the color image, else of the infrared one.
+/// The luma of the color image, or else of the infrared one.
 pub(super) fn read_luma(frames: &SourcedFrames, image: &mut GrayImage) -> Result<(), String> {
     luma(frames.image_of(SensorKind::Color)?, image).map_err(|error| error.to_string())
 }
 
-/// Warns where `rotated` of so many images state a rotation: other programs apply it, and the
-/// calibration does not hold for what they read.
+/// Warns if `rotated` of the images state a rotation: other programs apply it, and the calibration
+/// is not valid for the images as they read them.
 pub(super) fn warn_of_rotation(rotated: usize, images: usize) {
     if rotated > 0 {
         tracing::warn!(

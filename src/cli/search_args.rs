@@ -1,4 +1,4 @@
-//! Which images are searched, and for what.
+//! The arguments of a search for a target in images.
 
 use std::path::Path;
 
@@ -43,7 +43,7 @@ impl SearchArgs {
         check_sources(&self.sources)
     }
 
-    /// The sources, in as many words as a line holds.
+    /// The sources, shortened to fit on one line.
     pub(super) fn title(&self) -> String {
         match self.sources.as_slice() {
             [first, _, .., last] => format!("{first} … {last}"),
@@ -58,7 +58,7 @@ pub(super) fn check_sources(sources: &[String]) -> Result<(), Failure> {
     sources.iter().try_for_each(|source| check_there(source))
 }
 
-/// A mistyped source must not be lost among the images that could be read.
+/// A mistyped source must be reported, even if images from other sources could be read.
 fn check_there(source: &str) -> Result<(), Failure> {
     let is_glob = source.contains(['*', '?', '[']);
     if Path::new(source).exists() || is_glob {

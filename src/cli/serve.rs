@@ -6,7 +6,7 @@ use crate::cli::Failure;
 use crate::config::{Config, Overrides};
 use crate::daemon;
 
-/// The configuration read where none is given, if it exists.
+/// The configuration that is read by default, if it exists.
 const DEFAULT_FILE: &str = "plumb.toml";
 
 /// Runs the daemon: cameras, calibration sessions, HTTP.

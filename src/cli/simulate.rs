@@ -1,4 +1,4 @@
-//! `plumb simulate`: renders a recording, with what is true of it inside and beside it.
+//! `plumb simulate`: renders a recording, with the ground truth inside and beside it.
 
 pub mod operated;
 pub mod operated_outcome;
@@ -32,7 +32,7 @@ use crate::simulation::{
 
 use scene::SceneFile;
 
-/// When the first frame of every simulated recording was taken: 2026-01-01T00:00:00Z.
+/// The time of the first frame of every simulated recording: 2026-01-01T00:00:00Z.
 const START_UTC_NS: i64 = 1_767_225_600_000_000_000;
 /// The camera's name in simulated recordings.
 const CAMERA: &str = "front";
@@ -59,7 +59,7 @@ pub struct Args {
 /// Renders the recording.
 ///
 /// # Errors
-/// A usage failure for a scene that cannot be; a failure when a file cannot be written.
+/// A usage failure for an invalid scene; a failure when a file cannot be written.
 pub fn run(args: &Args) -> Result<(), Failure> {
     let Some(out) = &args.out else {
         return args.operated.run(args.seed.unwrap_or(1), args.json);
@@ -104,7 +104,7 @@ fn render(scene: &SceneFile, out: &Path) -> Result<TruthDocument, Failure> {
     Ok(truth)
 }
 
-/// The world that is rendered, with one sensor or three.
+/// The world to render, with one sensor or three.
 struct Rendering {
     kind: Kind,
     jpeg_quality: u8,
@@ -116,7 +116,7 @@ enum Kind {
     Textured(Box<TexturedCamera>),
 }
 
-/// A camera that is carried through a textured world, with a depth camera beside it or without.
+/// A camera that moves through a textured world, with or without a depth camera beside it.
 struct TexturedCamera {
     world: TexturedWorld,
     depth: Option<TexturedDepth>,
@@ -133,7 +133,7 @@ impl TexturedCamera {
     }
 }
 
-/// What a device states of its depth sensor: the truth.
+/// Writes what a device states about its depth sensor, which is the ground truth here.
 fn state_depth(writer: &mut McapWriter, rgbd: &RgbdOptions) -> Result<(), RecordingError> {
     let (sensor, depth) = (SensorKind::Depth, &rgbd.depth);
     writer.write_lens(sensor, depth.size, &depth.lens, START_UTC_NS)?;
@@ -157,7 +157,7 @@ impl Rendering {
         }
     }
 
-    /// The `index`-th frames, with their time and what is true of them.
+    /// The `index`-th frames, with their time and their ground truth.
     fn frame(&mut self, index: u64) -> (f64, TrueFrameDocument, Vec<Frame>) {
         let jpeg = |image: &GrayImage, sensor| {
             file_frame(
@@ -198,7 +198,7 @@ impl Rendering {
     }
 }
 
-/// What is true of a frame before which a board is carried about.
+/// The ground truth of a frame with a board that moves.
 fn before_board(truth: &FrameTruth) -> TrueFrameDocument {
     TrueFrameDocument {
         sequence: truth.index,

@@ -1,4 +1,4 @@
-//! `plumb solve`: from given correspondences to a calibration.
+//! `plumb solve`: calibrates from given correspondences.
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -37,7 +37,7 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// When the problem cannot be read, or determines no calibration.
+/// When the problem cannot be read, or does not determine a calibration.
 pub fn run(args: &Args) -> Result<(), Failure> {
     args.output.check()?;
     let document: ProblemDocument = read_document(&args.problem)?;

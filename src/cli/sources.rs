@@ -1,4 +1,4 @@
-//! A command's sources as frame sets, in the order given: images, folders, quoted globs and
+//! A command's sources as frame sets, in the given order: images, folders, quoted globs and
 //! recordings.
 
 use std::collections::VecDeque;
@@ -24,38 +24,38 @@ pub struct TopicArgs {
     every_frame: bool,
 }
 
-/// A source that could not be read, or one frame set of it.
+/// A source, or one of its frame sets, that could not be read.
 #[derive(Debug)]
 pub struct Unreadable {
     /// The path, as it was given.
     pub path: String,
-    /// One line that names it, says what was wrong and what to do.
+    /// One line with its name, what was wrong, and what to do.
     pub reason: String,
 }
 
-/// A frame set and where it is from.
+/// A frame set and its source.
 #[derive(Debug)]
 pub struct SourcedFrames {
     /// The frames.
     pub set: FrameSet,
-    /// The recording they are part of; `None` for an image that was chosen by itself or as one of
-    /// a folder.
+    /// The recording that they are part of; `None` for an image that was given by itself or in a
+    /// folder.
     pub recording: Option<String>,
-    /// The folder that its images are in subfolders of.
+    /// The folder whose subfolders contain its images.
     pub folder: Option<String>,
 }
 
 impl SourcedFrames {
-    /// That they hold no image, and what is missing where.
+    /// The error that they contain no image, with what is missing where.
     pub fn no_image(&self) -> NoImage {
         NoImage::of(&self.set).in_folder(self.folder.as_deref())
     }
 
-    /// The image of `sensor`, which is infrared's where a camera has no color. An image by itself
-    /// may be any sensor's.
+    /// The image of `sensor`; for a camera without color, this is the infrared image. An image by
+    /// itself may be of any sensor.
     ///
     /// # Errors
-    /// That there is none, in one line.
+    /// If there is none, in one line.
     pub fn image_of(&self, sensor: SensorKind) -> Result<&Frame, String> {
         let other = match (sensor, self.set.frames.as_slice()) {
             (SensorKind::Color, _) => self.set.frame(SensorKind::Infrared),
@@ -68,7 +68,7 @@ impl SourcedFrames {
         })
     }
 
-    /// The image's path; for a frame of a recording its path and sequence number.
+    /// The image's path; for a frame of a recording, the recording's path and the sequence number.
     pub fn path(&self) -> String {
         let numbered =
             || format!("{}#{}", self.recording.as_deref().unwrap_or_default(), self.set.sequence);
@@ -76,9 +76,9 @@ impl SourcedFrames {
     }
 }
 
-/// The frame sets of everything that was asked for, one after the other. Opens a source when it
-/// is reached, so that paths may arrive one by one. A source that cannot be read is one error, and
-/// the next one follows.
+/// The frame sets of all requested sources, one after the other. A source is opened only when it is
+/// reached, so that paths may arrive one at a time. A source that cannot be read gives one error,
+/// and then the next source follows.
 pub struct FrameSets<'a> {
     paths: Box<dyn Iterator<Item = String> + Send + 'a>,
     open: Option<Opened>,
@@ -94,7 +94,7 @@ struct Opened {
 }
 
 impl<'a> FrameSets<'a> {
-    /// Of the files, folders, globs and recordings that `paths` names.
+    /// The frame sets of the files, folders, globs and recordings in `paths`.
     pub fn new(paths: impl Iterator<Item = String> + Send + 'a) -> Self {
         Self {
             paths: Box::new(paths),
@@ -105,7 +105,7 @@ impl<'a> FrameSets<'a> {
         }
     }
 
-    /// Of recordings what `args` says.
+    /// Selects what is read of recordings, according to `args`.
     #[must_use]
     pub fn reading(mut self, args: &TopicArgs) -> Self {
         self.reading.topics.clone_from(&args.topics);
@@ -153,7 +153,7 @@ impl Iterator for FrameSets<'_> {
                         return Some(Ok(SourcedFrames { set, recording, folder }));
                     }
                     Ok(None) => self.open = None,
-                    // A recording that was cut off ends here: all before it has been given.
+                    // A recording that was cut off ends here; everything before has been returned.
                     Err(error) => {
                         let unreadable =
                             Unreadable { path: opened.path.clone(), reason: error.to_string() };
@@ -171,13 +171,13 @@ impl Iterator for FrameSets<'_> {
     }
 }
 
-/// Whether `path` is a recording by its name, or a folder that holds a bag.
+/// Whether `path` is a recording, judged by its name, or a folder that contains a bag.
 pub fn is_recording(path: &Path) -> bool {
     is_recording_file(path) || is_bag_folder(path)
 }
 
-/// The files of a source that is a file, a glob, or a folder of images, with those of its sensors in
-/// folders of their own; in natural order.
+/// The files of a source that is a file, a glob or a folder of images, including those of sensors
+/// in subfolders, in natural order.
 pub(super) fn files_of(source: &str) -> Vec<PathBuf> {
     let place = Path::new(source);
     if !place.is_dir() {

@@ -94,7 +94,8 @@ struct Prune {
 /// Runs the command.
 ///
 /// # Errors
-/// When there is no store, another process has it where it is changed, or it is damaged.
+/// When there is no store, when another process has it open and the task would change it, or when
+/// it is damaged.
 pub fn run(args: &Args) -> Result<(), Failure> {
     match &args.task {
         Task::Check(args) => check(args),
@@ -141,7 +142,7 @@ fn backup(args: &Backup) -> Result<(), Failure> {
 
 fn repair(args: &Repair) -> Result<(), Failure> {
     let folder = folder_of(&args.place)?;
-    // Nothing is made where nothing was.
+    // Fails if there is no store, so that none is created.
     drop(StoreReader::open(&folder).map_err(Failure::failed)?);
     let (_, report) = Store::open_or_repair(&folder, 0).map_err(Failure::failed)?;
     output::print_line(&report.map_or_else(

@@ -1,4 +1,4 @@
-//! `plumb target`: a board to print, at its true size, and its description beside it.
+//! `plumb target`: a board to print at its true size, with its description in a file beside it.
 
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -85,7 +85,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         }
     };
     let description = args.out.with_extension("json");
-    // That of an earlier print goes with it.
+    // The description of an earlier print is replaced together with it.
     let is_kept = match description.exists().then(|| read_target(&description)) {
         None => false,
         Some(there) => {

@@ -1,4 +1,4 @@
-//! Which target to search for, as arguments.
+//! The target to search for, as arguments.
 
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -57,7 +57,7 @@ pub struct ShapeOrSceneArgs {
 }
 
 impl ShapeOrSceneArgs {
-    /// The target, as [`ShapeArgs::read`] has it; `None` for a scene.
+    /// The target, as from [`ShapeArgs::read`]; `None` for a scene.
     ///
     /// # Errors
     /// As [`TargetArgs::read`].
@@ -84,7 +84,7 @@ impl TargetArgs {
 }
 
 impl ShapeArgs {
-    /// Whether the target is to be found out.
+    /// Whether the target is to be recognized.
     pub fn is_auto(&self) -> bool {
         self.target.as_deref() == Some(Path::new("auto"))
     }
@@ -110,7 +110,7 @@ impl ShapeArgs {
 /// The target in a file.
 ///
 /// # Errors
-/// When it cannot be read, or is no target that can be used.
+/// When it cannot be read, or is not a usable target.
 pub fn read_target(path: &Path) -> Result<Target, Failure> {
     let name = path.display();
     let text = std::fs::read_to_string(path).map_err(|error| {

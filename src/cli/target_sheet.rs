@@ -1,5 +1,5 @@
-//! A board on a sheet of paper, with a ruler and what it is, as PDF, SVG or PNG: always at its true
-//! size.
+//! A board on a sheet of paper with a ruler and a description, as PDF, SVG or PNG: always at its
+//! true size.
 
 use std::fmt::Write as _;
 use std::io::Cursor;
@@ -8,10 +8,10 @@ use image::{GrayImage, ImageFormat, Luma};
 
 use crate::geometry::printed_board::PrintedBoard;
 
-/// White around everything, and below the board for the ruler, in millimeters.
+/// Width of the white margin, and of the foot below the board for the ruler, in millimeters.
 const MARGIN_MM: f64 = 6.0;
 const FOOT_MM: f64 = 14.0;
-/// A point of PDF, in millimeters.
+/// A PDF point, in millimeters.
 const POINT_MM: f64 = 25.4 / 72.0;
 
 /// A sheet to print.
@@ -19,14 +19,14 @@ const POINT_MM: f64 = 25.4 / 72.0;
 pub struct PaperSheet {
     /// Width and height of the paper, in millimeters.
     paper_mm: [f64; 2],
-    /// Black and white rectangles in millimeters, later ones over earlier ones: x, y, width,
+    /// Black and white rectangles in millimeters, later ones drawn over earlier ones: x, y, width,
     /// height, white.
     rects: Vec<([f64; 4], bool)>,
     /// Lines of text: x, baseline y, height.
     texts: Vec<([f64; 3], String)>,
 }
 
-/// A board that does not fit.
+/// A board that does not fit on the paper.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error(
     "the board is {:.1} x {:.1} mm with its ruler, but the paper holds {:.1} x {:.1} mm within its margins: give larger paper, or a target with fewer or smaller squares or tags", needed[0], needed[1], room[0], room[1]
@@ -37,11 +37,11 @@ pub struct PaperTooSmall {
 }
 
 impl PaperSheet {
-    /// `print` in the middle of paper of this size, upright or lying, whichever holds it, over a
-    /// ruler and a line that says `what` it is.
+    /// `print` in the middle of paper of this size, in portrait or landscape, whichever fits, above
+    /// a ruler and a line with the description `what`.
     ///
     /// # Errors
-    /// [`PaperTooSmall`]: nothing is ever scaled.
+    /// [`PaperTooSmall`]: the board is never scaled.
     pub fn new(
         print: &PrintedBoard,
         paper_mm: [f64; 2],
@@ -158,7 +158,7 @@ impl PaperSheet {
         pdf.into_bytes()
     }
 
-    /// The sheet in pixels; edges between them are gray. Text is left out.
+    /// The sheet in pixels; pixels on edges are gray. Text is left out.
     pub fn to_pixels(&self, dpi: f64) -> GrayImage {
         let scale = dpi / 25.4;
         let [width, height] = self.paper_mm.map(|mm| (mm * scale).round().max(1.0) as u32);
@@ -193,11 +193,12 @@ impl PaperSheet {
     }
 }
 
-/// Where the chunk after the header begins: behind the signature and a header of 13 bytes, each
-/// chunk having its length, its name and a checksum (PNG specification, section 5).
+/// The position of the chunk after the header: after the signature and a header of 13 bytes, where
+/// each chunk also has its length, its name and a checksum (PNG specification, section 5).
 const AFTER_HEADER: usize = 8 + 12 + 13;
 
-/// How large a PNG's pixels are: without, programs print it at a resolution of their own.
+/// The chunk with the size of a PNG's pixels: without it, programs print at a resolution of their
+/// own.
 fn resolution_chunk(dpi: f64) -> Vec<u8> {
     const INCHES_PER_METER: f64 = 1.0 / 0.0254;
     let per_meter = (dpi * INCHES_PER_METER).round() as u32;

@@ -1,4 +1,4 @@
-//! `plumb token`: who may ask the daemon.
+//! `plumb token`: manages the tokens for access to the daemon.
 
 use std::path::{Path, PathBuf};
 
@@ -6,7 +6,7 @@ use crate::cli::{Failure, output};
 use crate::config::token_file::{read_tokens, write_tokens};
 use crate::http::tokens::{AccessToken, TokenRole};
 
-/// Bytes of a token: twice the 128 bits that nobody guesses.
+/// Bytes of a token: twice the 128 bits that cannot be guessed.
 const TOKEN_BYTES: usize = 32;
 
 /// Makes, lists and revokes the tokens that let clients in; a running daemon reads them again on
@@ -59,8 +59,8 @@ struct Revoke {
 /// Runs the command.
 ///
 /// # Errors
-/// A usage error for a name that cannot be; a failure for a file that cannot be read or written, a
-/// name that has a token already, or one that has none.
+/// A usage error for an invalid name; a failure for a file that cannot be read or written, a name
+/// that already has a token, or one that has none.
 pub fn run(args: &Args) -> Result<(), Failure> {
     match &args.task {
         TokenTask::Add(args) => add(args),

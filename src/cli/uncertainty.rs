@@ -1,4 +1,4 @@
-//! `plumb uncertainty`: how well a calibration knows where things are seen, over the image.
+//! `plumb uncertainty`: the projection uncertainty of a calibration over the image.
 
 use std::path::PathBuf;
 
@@ -31,13 +31,13 @@ pub struct Args {
     json: bool,
 }
 
-/// Columns of the numbers' grid and of the image's, along the image's longer side.
+/// Columns of the grid of numbers and of the one of the image, along the image's longer side.
 const COLUMNS: [u32; 2] = [UNCERTAINTY_COLUMNS, 49];
 
 /// Runs the command.
 ///
 /// # Errors
-/// When the calibration cannot be read, or holds no covariance of the sensor.
+/// When the calibration cannot be read, or has no covariance of the sensor.
 pub fn run(args: &Args) -> Result<(), Failure> {
     if let Some(out) = &args.out {
         check_not_read(out, &[&args.calibration])?;

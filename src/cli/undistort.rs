@@ -1,4 +1,4 @@
-//! `plumb undistort`: images as a lens without distortion would have taken them.
+//! `plumb undistort`: writes images without the lens's distortion.
 
 use std::path::{Path, PathBuf};
 
@@ -55,10 +55,10 @@ struct UndistortedImage {
     out: String,
 }
 
-/// Undistorts every image; one that cannot be is reported at the end, after the others.
+/// Undistorts every image; failures are reported at the end, after the others.
 ///
 /// # Errors
-/// A failure for a calibration that cannot be read, and when any image could not be undistorted.
+/// A failure for a calibration that cannot be read, or if any image could not be undistorted.
 pub fn run(args: &Args) -> Result<(), Failure> {
     if !(0.0..=1.0).contains(&args.balance) {
         return Err(Failure::usage(format!(
@@ -133,7 +133,7 @@ fn report(
     }
 }
 
-/// Undistorts one image into `folder`; why not, in one line.
+/// Undistorts one image into `folder`. The error is one line with the reason.
 fn undistorted(
     frames: &SourcedFrames,
     sensor: SensorKind,

@@ -1,4 +1,4 @@
-//! The answer of `plumb verify`.
+//! The result of `plumb verify`.
 
 use serde::Serialize;
 
@@ -7,41 +7,43 @@ use crate::cli::verify_depth::VerifiedDepth;
 use crate::cli::{Failure, output};
 use crate::geometry::pixel::ImageSize;
 
-/// A change of this many of the calibration's own standard deviations is one.
+/// A difference of more than this many of the calibration's own standard deviations counts as a
+/// change.
 pub(super) const LIMIT_SIGMAS: f64 = 3.0;
-/// Smallest limit of a change, in pixels: less is not distinguishable from the images' own errors.
+/// The smallest limit of a change, in pixels: less is not distinguishable from the errors of the
+/// images.
 pub(super) const LEAST_LIMIT_PX: f64 = 0.1;
-/// A change of the lens that shows only from more than this on, in pixels, is as good as not seen:
-/// chosen, as overlays and depth registration are off by a visible amount from a pixel on.
+/// If a change of the lens is detectable only from more than this on, in pixels, the images count
+/// as not showing it. Chosen, as overlays and depth registration are visibly off from a pixel on.
 pub(super) const CERTAIN_PX: f64 = 1.0;
 
-/// The answer.
+/// The result.
 #[derive(Debug, Serialize)]
 pub(super) struct Verified {
     pub holds: bool,
-    /// How far projections are off where corners are seen, beyond their noise, in pixels; where
-    /// these views determine a lens of their own that is certainly another, how far it projects
-    /// from the calibrated one in the median over the image.
+    /// The projection error where corners are seen, beyond their noise, in pixels. If these views
+    /// determine a lens that differs significantly from the calibrated one: the median over the
+    /// image of the difference between the projections of the two, where that is larger.
     pub moved_px: f64,
-    /// The most that the calibration's own uncertainty allows, with that of the scene's lens where
-    /// it was compared with a scene.
+    /// The largest deviation that the calibration's own uncertainty allows, including the
+    /// uncertainty of the scene's lens if that was compared.
     pub limit_px: f64,
-    /// The least change of the lens, in the median over the image, that these images and the
-    /// calibration show; null where they show none.
+    /// The smallest change of the lens, as the median over the image, that is detectable with these
+    /// images and this calibration; null if they do not determine it.
     pub visible_px: Option<f64>,
-    /// The error of these images with the lens as calibrated; null for a scene.
+    /// The reprojection error of these images with the calibrated lens; null for a scene.
     pub rms_px: Option<f64>,
     /// The same with the lens that fits them best; null where they do not determine one.
     pub best_rms_px: Option<f64>,
     pub views: usize,
-    /// Depth against the board; left out where the calibration or the images have none.
+    /// Depth compared with the board; left out if the calibration or the images have no depth.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub depth: Option<VerifiedDepth>,
     pub reasons: Vec<String>,
 }
 
 impl Verified {
-    /// Whether a change of the lens in half of the image would be seen.
+    /// Whether a change of the lens in half of the image would be detected.
     fn saw_lens(&self) -> bool {
         self.visible_px.is_some_and(|visible_px| visible_px <= CERTAIN_PX)
     }
@@ -54,7 +56,7 @@ impl Verified {
         }
     }
 
-    /// The same with what is said of depth.
+    /// The result including that of depth.
     pub fn with_depth(mut self, depth: Option<VerifiedDepth>) -> Self {
         if let Some(depth) = &depth {
             self.holds &= depth.holds;
@@ -64,7 +66,7 @@ impl Verified {
     }
 }
 
-/// Refuses images of another size than those that the calibration in `file` is for.
+/// Refuses images whose size is not the one that the calibration in `file` is for.
 pub(super) fn same_size(
     size: ImageSize,
     file: &str,
@@ -79,7 +81,7 @@ pub(super) fn same_size(
     )))
 }
 
-/// Prints the answer, of the calibration in `file`.
+/// Prints the result for the calibration in `file`.
 ///
 /// # Errors
 /// When nothing can be written.

@@ -1,8 +1,8 @@
-//! `plumb verify`: does a calibration still hold for what the camera sees now?
+//! `plumb verify`: checks whether a calibration is still valid for the camera's present images.
 //!
 //! The corners are fitted twice: with the lens as it was calibrated, and with the lens that fits
-//! them best. What the second explains and the first does not is how far the lens has moved where
-//! the corners are. Without a board, a static scene is asked (`verify_scene`).
+//! them best. The residuals that only the first fit has show how far the lens has moved where the
+//! corners are. Without a board, the images are of a static scene (`verify_scene`).
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -26,8 +26,8 @@ use crate::estimation::uncertainty::Distance;
 use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
 
-/// The board's square where the calibration does not state it: its size has no influence on the
-/// answer.
+/// The side of a square where the calibration does not state it: its size does not affect the
+/// result.
 const ANY_SQUARE_M: f64 = 0.025;
 
 /// Says whether a calibration still holds for what the camera sees now
@@ -86,7 +86,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     print(&verified, &file, args.json)
 }
 
-/// The answer, and the views under the calibrated lens.
+/// The result, and the views fitted with the calibrated lens.
 fn verify(
     sensor: &ImageCalibration,
     problem: &CameraProblem,
@@ -105,7 +105,8 @@ fn verify(
     let used = sensor.views.iter().filter(|view| view.used).count();
     let calibrated_px = (sigmas(used) * sensor.uncertainty_px.median).max(LEAST_LIMIT_PX);
     let visible_px = change.map(|change| change.visible_px.hypot(calibrated_px));
-    // The boards' poses take up most of a change of focus: residuals alone show little of it.
+    // The poses of the boards compensate for most of a change of focus: residuals alone show little
+    // of it.
     let certain_px = change.map(|change| change.seen_px).filter(|seen| Some(*seen) > visible_px);
     let moved_px = certain_px.unwrap_or(0.0).max(unexplained_px);
     let mut reasons = Vec::new();
@@ -114,8 +115,8 @@ fn verify(
             "the lens has changed since (refocused, zoomed, knocked?): calibrate again".to_owned(),
         );
     }
-    // What the calibration's own uncertainty allows is no reason to doubt a corner, however exact
-    // the others are.
+    // A corner counts as fitting if its residual is within the calibration's own uncertainty, even
+    // if the other corners are more accurate.
     let fitting = fitting_corners(&fixed, limit_px);
     let all = best.as_ref().map_or(corners(problem), |best| fitting_corners(best, limit_px));
     if 10 * fitting < 9 * all {
@@ -153,7 +154,7 @@ fn verify(
     Ok((verified, fixed))
 }
 
-/// With the calibrated lens, and the board as it was measured where that is given.
+/// Options with the calibrated lens, and with the measured board where it is given.
 fn as_calibrated(
     sensor: &ImageCalibration,
     measured_board: Option<MeasuredBoard>,
@@ -167,9 +168,8 @@ fn as_calibrated(
     options.as_stated()
 }
 
-/// The lens that fits best, of the calibrated one's model, and the board that it was found with: as
-/// the calibration measured it where that fits closer. It may be another board than the one that is
-/// seen now.
+/// The best-fitting lens of the calibrated one's model, and the board used for it: the one that the
+/// calibration measured, if it fits better. The board seen now may be another one.
 fn best_fit(
     sensor: &ImageCalibration,
     problem: &CameraProblem,
@@ -188,7 +188,7 @@ fn best_fit(
     let flat = with(None);
     let Some(board) = &sensor.board_shape else { return (flat, None) };
     let measured = with(Some(board.clone()));
-    // Views that determine no lens are compared with the calibrated one.
+    // If the views do not determine a lens, the fits with the calibrated one are compared.
     let rms_px = |best: &Option<CameraEstimate>, board: Option<&MeasuredBoard>| match best {
         Some(best) => best.rms_px,
         None => calibrate_camera(problem, &as_calibrated(sensor, board.cloned()))
@@ -202,13 +202,14 @@ fn best_fit(
     }
 }
 
-/// How many standard deviations of a lens that so many views determined are as rare as
-/// [`LIMIT_SIGMAS`] of a normal distribution: few views know their own scatter little.
+/// The number of standard deviations that is as improbable, for a lens determined by this many
+/// views, as [`LIMIT_SIGMAS`] is for a normal distribution: few views estimate their own scatter
+/// poorly.
 fn sigmas(views: usize) -> f64 {
     student_deviations(LIMIT_SIGMAS, views.saturating_sub(1) as f64)
 }
 
-/// Corners that were used, or are off by no more than `limit_px`.
+/// The number of corners that were used, or whose residual is at most `limit_px`.
 fn fitting_corners(estimate: &CameraEstimate, limit_px: f64) -> usize {
     let of_view = estimate.views.iter().flat_map(|view| view.used.iter().zip(&view.residuals_px));
     of_view.filter(|(used, [x, y])| **used || x.hypot(*y) <= limit_px).count()

@@ -1,4 +1,4 @@
-//! `plumb verify` of depth: against the planes of the boards that color sees.
+//! `plumb verify` for depth, which is compared with the planes of the boards that color sees.
 
 use std::collections::BTreeMap;
 
@@ -22,22 +22,22 @@ use crate::geometry::target::Target;
 use crate::imaging::depth_image::DepthImage;
 use crate::imaging::frame::SensorKind;
 
-/// A move of the depth camera that shows only from this much on, in meters, is as good as not seen:
-/// chosen, as an overlay is off by a visible amount from there.
+/// If a motion of the depth camera is detectable only from this much on, in meters, the images
+/// count as not showing it. Chosen, as an overlay is visibly off from there on.
 const CERTAIN_M: f64 = 0.02;
 
-/// What is said of depth.
+/// The result for depth.
 #[derive(Debug, Serialize)]
 pub struct VerifiedDepth {
-    /// Whether depth is as it was calibrated wherever it was seen.
+    /// Whether depth is still as calibrated, wherever it was measured.
     pub holds: bool,
     /// Views with readings on the board.
     pub views: usize,
-    /// How far depth is off, in the standard deviations that the calibration predicts: a change
-    /// above 3.
+    /// The error of depth, in standard deviations predicted by the calibration: more than 3 is a
+    /// change.
     pub off_sigmas: f64,
-    /// From how far on these views show that the depth camera moved; null where there is a way
-    /// of moving that they do not show.
+    /// The smallest motion of the depth camera that is detectable in these views; null if there is
+    /// a direction of motion that they do not show.
     pub visible_m: Option<f64>,
     /// By distance, nearest first.
     pub ranges: Vec<VerifiedRange>,
@@ -58,7 +58,7 @@ pub struct VerifiedRange {
 }
 
 impl VerifiedDepth {
-    /// Whether everything that could have changed was seen.
+    /// Whether every possible change would have been detected.
     pub fn saw_all(&self) -> bool {
         self.visible_m.is_some_and(|visible_m| visible_m <= CERTAIN_M)
     }
@@ -130,7 +130,7 @@ impl VerifiedDepth {
     }
 }
 
-/// What changed, as far as the errors show it.
+/// What changed, as far as the errors determine it.
 fn change(check: &DepthCheck) -> String {
     let sigmas = check.off_sigmas;
     if check.is_scaled() {
@@ -144,9 +144,9 @@ fn change(check: &DepthCheck) -> String {
     )
 }
 
-/// Compares depth with the boards at the poses `views`, by name; `None` where the calibration or
-/// the sources have no depth. Where the calibration says how much later depth is taken, boards of a
-/// recording are also expected where they may have moved to by then.
+/// Compares depth with the boards at the poses `views`, by name; `None` if the calibration or the
+/// sources have no depth. If the calibration states how much later depth is taken, boards in a
+/// recording are also expected where they may have moved by then.
 ///
 /// # Errors
 /// For depth in other units than the calibration's, or images of another size.
@@ -174,7 +174,7 @@ pub fn verify_depth(
     Ok((!seen.is_empty()).then(|| VerifiedDepth::of(&check, views.len())))
 }
 
-/// Where color sees the board.
+/// The boards as color sees them.
 struct Boards<'a> {
     board: &'a Target,
     /// The poses of views, by name.
@@ -199,7 +199,7 @@ impl Boards<'_> {
             let frames = frames.map_err(|unreadable| Failure::failed(unreadable.reason))?;
             let path = frames.path();
             let of_depth = frames.set.frame(SensorKind::Depth).cloned();
-            // A frame set without an image in color was named when the views were gathered.
+            // A frame set without a color image was reported when the views were collected.
             let Ok(searched) = detect(Ok(frames)) else { continue };
             let view = self.views.get(&searched.frame.display_name()).copied();
             let time_s = searched.frame.time_ns() as f64 * 1e-9;
@@ -235,7 +235,8 @@ impl Boards<'_> {
         Ok(images.into_iter().zip(moving).filter_map(view).collect())
     }
 
-    /// Where a frame of a recording that is no view shows the board, which says how it moves.
+    /// The board's pose in a frame of a recording that is not a view, from which the board's motion
+    /// follows.
     fn between_views(&self, image: SearchedImage) -> Option<Pose> {
         let lens = self.lens.filter(|_| image.recording.is_some())?;
         let view = View { number: 0, frame: image.frame, detection: image.answer.ok()? };

@@ -1,5 +1,5 @@
-//! A calibration against a static scene, without a board: the lens is estimated from the images
-//! alone and compared with the calibrated one, where both are uncertain.
+//! Compares a calibration with a static scene, without a board: the lens is estimated from the
+//! images alone and compared with the calibrated one, with the uncertainties of both.
 
 use crate::calibration::result::ImageCalibration;
 use crate::calibration::scene::{SceneOptions, calibrate_scene};
@@ -13,7 +13,7 @@ use crate::cli::{Failure, progress};
 use crate::estimation::problem::LensChoice;
 use crate::estimation::uncertainty::Distance;
 
-/// The answer; `file` is what the calibration was read from.
+/// The result; `file` is the path of the calibration.
 ///
 /// # Errors
 /// When the images cannot be read, are of another size, or do not determine a lens.
@@ -40,7 +40,8 @@ pub(super) fn verify_scene(
     })
 }
 
-/// The comparison of two lenses, each with its uncertainty; `None` where no projection is known.
+/// The comparison of two lenses, each with its uncertainty; `None` if the projection uncertainty of
+/// one is unknown.
 fn compared(calibrated: &ImageCalibration, scene: &ImageCalibration) -> Option<Verified> {
     let uncertainty = sensor_uncertainty(scene, UNCERTAINTY_COLUMNS, Distance::Infinity)?;
     let LensChange { seen_px: moved_px, visible_px: scene_px } =

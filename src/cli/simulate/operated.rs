@@ -1,6 +1,6 @@
-//! `plumb simulate --operator …`: whole sessions with a simulated operator, as fast as they can be
-//! computed. Corners are where the true lens projects them plus the detector's noise; nothing is
-//! rendered.
+//! `plumb simulate --operator …`: complete sessions with a simulated operator, as fast as they can
+//! be computed. Corners are projected through the true lens, with the detector's noise added;
+//! nothing is rendered.
 
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -78,11 +78,12 @@ impl OperatorName {
 /// One session to run.
 #[derive(Debug, Clone)]
 pub struct OperatedSession {
-    /// Everything random follows from it.
+    /// The seed of everything random.
     pub seed: u64,
-    /// Who holds the board.
+    /// The operator, who holds the board.
     pub operator: OperatorName,
-    /// The goal in pixels, and whether it is the worst in the image in place of the median.
+    /// The goal in pixels, and whether it is for the worst uncertainty in the image instead of the
+    /// median.
     pub goal: (f64, bool),
     /// The true lens.
     pub lens: Lens,
@@ -92,20 +93,20 @@ pub struct OperatedSession {
     pub board: Chessboard,
 }
 
-/// As sessions have it: fewer views are not worth stopping for.
+/// As in sessions: with fewer views they do not stop.
 const LEAST_VIEWS: u32 = 8;
 const FRAME_S: f64 = 0.1;
 const LONGEST_S: f64 = 400.0;
-/// What the detector needs: squares of 6 px, tilts up to 55°.
+/// The detector's limits: squares of 6 px, tilts up to 55°.
 const LEAST_SIDE_PX: f64 = 6.0;
 const LEAST_FACING: f64 = 0.57;
-/// The noise of a corner with an edge of one pixel; and the blur.
+/// The noise of a corner whose edges are one pixel wide; and the blur.
 const NOISE_PX: f64 = 0.5;
 const BLUR_PX: f64 = 0.8;
 
 impl OperatedSession {
-    /// The session of `seed`: three lenses (57°, 100° and 140° across) and three boards alternate,
-    /// and each lens varies with the seed.
+    /// The session of `seed`: three lenses (57°, 100° and 140° horizontally) and three boards
+    /// alternate, and each lens varies with the seed.
     pub fn of_seed(seed: u64, operator: OperatorName, goal: (f64, bool)) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut vary = |value: f64, part: f64| value * (1.0 + part * rng.random_range(-1.0..1.0));
@@ -155,7 +156,7 @@ impl OperatedSession {
         }
     }
 
-    /// Runs it to its end; `None` where its views leave the lens open.
+    /// Runs the session to its end; `None` if its views do not determine the lens.
     pub fn run(&self) -> Option<OperatedOutcome> {
         let (goal_px, of_worst) = self.goal;
         let lens = LensChoice::Model(self.lens.model());
@@ -225,8 +226,9 @@ impl OperatedSession {
         estimate_so_far(&self.problem(session), lens, going_on.as_ref()).ok()
     }
 
-    /// Where the board would have to be for the outline that is asked for: people follow what they
-    /// see, not what a lens that is not known yet makes of it.
+    /// The board's pose for the requested outline. It is derived from the outline in the image,
+    /// through the true lens, because people follow what they see and not the pose estimated with
+    /// the present lens.
     fn asked(&self, session: &Session) -> Option<Pose> {
         let guidance = match self.operator {
             OperatorName::List => {
@@ -242,8 +244,8 @@ impl OperatedSession {
         self.pose_seen_at(&<[Pixel; 4]>::try_from(guidance.outline_px).ok()?)
     }
 
-    /// The pose of a board whose outer corners are seen there. Four points leave a pose without a
-    /// check; the plane between them gives more.
+    /// The pose of a board whose outer corners are seen at these pixels. Four points are too few to
+    /// verify a pose; points of the plane between them are added.
     fn pose_seen_at(&self, outline_px: &[Pixel; 4]) -> Option<Pose> {
         const STEPS: u32 = 4;
         let bearings = outline_px.map(|pixel| self.lens.bearing_from_pixel(pixel));
@@ -272,7 +274,7 @@ impl OperatedSession {
         Some(board_poses(&self.lens, &view).ok()?.first()?.camera_from_board)
     }
 
-    /// What the detector gives.
+    /// The simulated detection.
     fn seen(&self, camera_from_board: &Pose, rng: &mut ChaCha8Rng) -> Result<Detection, NoBoard> {
         let points = BoardPoints::of_chessboard(&self.board);
         let facing = {
@@ -354,7 +356,7 @@ impl OperatedSession {
 }
 
 impl OperatedArgs {
-    /// Runs the sessions and prints how each went, then their medians.
+    /// Runs the sessions, and prints the outcome of each, then their medians.
     ///
     /// # Errors
     /// When stdout cannot be written to.

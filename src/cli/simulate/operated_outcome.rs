@@ -1,15 +1,15 @@
-//! How sessions with a simulated operator went, for people.
+//! The outcome of sessions with a simulated operator, in readable form.
 
 use serde::Serialize;
 
-/// How a session went.
+/// The outcome of a session.
 #[derive(Debug, Clone, Serialize)]
 pub struct OperatedOutcome {
     /// Its seed.
     pub seed: u64,
     /// The lens and the board.
     pub setting: String,
-    /// Whether it ended by itself in time.
+    /// Whether it reached its goal in time.
     pub reached: bool,
     /// Views kept.
     pub views: u32,
@@ -17,22 +17,22 @@ pub struct OperatedOutcome {
     pub seconds: f64,
     /// The median and the worst predicted uncertainty over the image, in pixels.
     pub predicted_px: [f64; 2],
-    /// The true errors there likewise: the median and the greatest length.
+    /// The true projection errors over the image: their median and their maximum, in pixels.
     pub error_px: [f64; 2],
-    /// The error of fx over its standard deviation.
+    /// The error of fx divided by its standard deviation.
     pub focal_ratio: f64,
-    /// The parts of the errors, along the principal axes of their predicted covariance and over the
-    /// image, within one and two standard deviations.
+    /// The fractions of the errors, along the principal axes of their predicted covariance and over
+    /// the image, that are within one and two standard deviations.
     pub within: [f64; 2],
-    /// After each estimate: views, seconds, the median and the worst predicted uncertainty over the
-    /// image, in pixels.
+    /// After each estimate: number of views, seconds, and the median and the worst predicted
+    /// uncertainty over the image, in pixels.
     pub course: Vec<(u32, f64, f64, f64)>,
-    /// How many more views it said it takes: at least and at most, after so many.
+    /// The predicted numbers of further views, at least and at most, each after so many views.
     pub to_go: Vec<(u32, [u32; 2])>,
 }
 
 impl OperatedOutcome {
-    /// Whether each number of views that it said it takes held.
+    /// For each prediction, whether the number of views that were needed lay within it.
     fn held(&self) -> impl Iterator<Item = bool> {
         let needed = |views: u32| self.views.saturating_sub(views);
         self.to_go
@@ -40,7 +40,7 @@ impl OperatedOutcome {
             .map(move |(views, [few, many])| *few <= needed(*views) && needed(*views) <= *many)
     }
 
-    /// The session in one line.
+    /// The outcome in one line.
     pub fn line(&self) -> String {
         let Self { seed, setting, views, seconds, predicted_px, error_px, .. } = self;
         let [median, worst] = predicted_px;
@@ -52,7 +52,7 @@ impl OperatedOutcome {
     }
 }
 
-/// The medians of all, and how the true errors compare with their predictions.
+/// The medians over all sessions, and a comparison of the true errors with their predictions.
 pub fn summary(outcomes: &[OperatedOutcome]) -> String {
     let median = |value: fn(&OperatedOutcome) -> f64| {
         let mut values: Vec<f64> = outcomes.iter().map(value).collect();

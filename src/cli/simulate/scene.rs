@@ -59,15 +59,15 @@ const FRAMES: u64 = 150;
 const JPEG_QUALITY: u8 = 90;
 const SIZE: ImageSize = ImageSize::new(640, 480);
 
-/// What is rendered.
+/// The scene to render.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct SceneFile {
     pub world: WorldOptions,
     pub frames: u64,
     pub jpeg_quality: u8,
-    /// The other sensors, where there are any.
+    /// The depth and infrared sensors, if there are any.
     pub rgbd: Option<RgbdOptions>,
-    /// What the camera is carried through, where there is no board.
+    /// The textured world that the camera moves through, if there is no board.
     pub textured: Option<TexturedWorldOptions>,
 }
 
@@ -141,7 +141,7 @@ struct WrittenWalk {
 }
 
 impl SceneFile {
-    /// Reads the scene at `path`, or takes the default one; `seed` is louder than the file.
+    /// Reads the scene at `path`, or takes the default one; `seed` overrides the seed in the file.
     pub(super) fn load(path: Option<&Path>, seed: Option<u64>) -> Result<Self, Failure> {
         let Some(path) = path else {
             return WrittenScene::default().check(seed).map_err(Failure::usage);
@@ -203,7 +203,7 @@ impl WrittenScene {
 }
 
 impl WrittenWorld {
-    /// The world before the camera of `world`, of which there are `frames`.
+    /// The textured world for the camera of `world`, which takes `frames` frames.
     fn check(&self, world: &WorldOptions, frames: u64) -> Result<TexturedWorldOptions, String> {
         let named = |given: &Option<String>, default: &str| {
             given.clone().unwrap_or_else(|| default.to_owned())
@@ -287,7 +287,7 @@ impl WrittenWalk {
     }
 }
 
-/// The number given, or the default; refused outside `low` to `high`, and so is NaN.
+/// The given number, or the default; a number outside `low` to `high` is refused, and so is NaN.
 fn ranged(
     key: &str,
     given: Option<f64>,
