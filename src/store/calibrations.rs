@@ -1,4 +1,4 @@
-//! The tables of calibrations and of those that hold now.
+//! The tables of calibrations and of the current ones.
 
 use rusqlite::{Connection, OptionalExtension, Row, ToSql, params};
 
@@ -13,18 +13,18 @@ const COLUMNS: &str =
     "SELECT id, camera, session, created_at_ns, document, checksum FROM calibrations";
 
 impl Store {
-    /// Writes a new calibration down; it never changes after that.
+    /// Stores a new calibration; it never changes after that.
     ///
     /// # Errors
-    /// [`StoreError::Failed`], also when its id is taken; [`StoreError::Unstorable`] for one with a
-    /// number that is none.
+    /// [`StoreError::Failed`], also when its id is taken; [`StoreError::Unstorable`] for one that
+    /// contains NaN or infinity.
     pub fn append_calibration(&self, calibration: &Calibration) -> Result<(), StoreError> {
         let document = column(calibration)?;
         insert(&self.connection(), calibration, &document).map_err(|e| self.failed(&e))
     }
 
-    /// Writes down how a session ended, the calibration that it led to, and, with `make_current`,
-    /// that this one holds for its camera now: all or nothing.
+    /// Stores how a session ended, the calibration that resulted, and, with `make_current`, that it
+    /// is now the camera's current one: all or nothing.
     ///
     /// # Errors
     /// As [`Store::append_calibration`] and [`Store::save_session`].
@@ -60,8 +60,8 @@ impl Store {
         found.into_iter().next().transpose()
     }
 
-    /// Every calibration of a camera that can be read, newest first; [`Store::unreadable`] has the
-    /// others.
+    /// Every calibration of a camera that can be read, newest first; the others are listed by
+    /// [`Store::unreadable`].
     ///
     /// # Errors
     /// [`StoreError::Failed`].
@@ -69,9 +69,9 @@ impl Store {
         Ok(self.calibrations_page(camera, None, None)?.0)
     }
 
-    /// A page of a camera's calibrations that can be read, newest first: at most `limit`, all when
-    /// left out, after the calibration `after`. Where there are more, also the last one of the
-    /// page, which those come after.
+    /// A page of a camera's calibrations that can be read, newest first: at most `limit` that
+    /// follow the calibration `after`, or all without a limit. If there are more, also the last one
+    /// of the page, from which the next page follows.
     ///
     /// # Errors
     /// [`StoreError::Failed`]; [`StoreError::Missing`] where the camera has no calibration `after`.
@@ -97,7 +97,7 @@ impl Store {
             "{COLUMNS} WHERE camera = ?1 AND (created_at_ns, id) < (?2, ?3)
             ORDER BY created_at_ns DESC, id DESC LIMIT ?4"
         );
-        // One more than asked for says whether there are more; to SQLite, -1 is no limit.
+        // One row more than requested shows whether there are more; for SQLite, -1 means no limit.
         let most = limit.map_or(-1, |limit| i64::from(limit) + 1);
         let values: [&dyn ToSql; 4] = [&camera, &start.0, &start.1, &most];
         let mut rows = self.select("calibrations", &sql, &values, StoredCalibration::from_row)?;
@@ -109,7 +109,7 @@ impl Store {
         Ok((self.readable(calibrations), last.filter(|_| has_more)))
     }
 
-    /// Every calibration that can be read, of whatever camera, newest first.
+    /// Every calibration that can be read, of any camera, newest first.
     ///
     /// # Errors
     /// [`StoreError::Failed`].
@@ -118,7 +118,7 @@ impl Store {
         Ok(self.readable(self.select_calibrations(&sql, &[])?.into_iter()))
     }
 
-    /// Makes a calibration the one that holds for a camera now.
+    /// Makes a calibration the current one of a camera.
     ///
     /// # Errors
     /// [`StoreError::Missing`] for a calibration that is not there; [`StoreError::Failed`].
@@ -135,7 +135,7 @@ impl Store {
         write().map_err(|e| self.failed(&e))
     }
 
-    /// Which calibration holds for a camera now.
+    /// The id of the current calibration of a camera.
     ///
     /// # Errors
     /// [`StoreError::Failed`].

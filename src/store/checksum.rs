@@ -1,9 +1,9 @@
-//! Checksums of rows: a byte that the disk changed is noticed when the row is read.
+//! Checksums of rows, which detect bytes that changed on the disk when a row is read.
 
 use crate::store::error::StoreError;
 
-/// The CRC-32 (IEEE 802.3) of a row's columns, one after the other; a column's length goes in with
-/// it, so that nothing moves from one column to the next unnoticed.
+/// The CRC-32 (IEEE 802.3) of a row's columns in order. The length of each column is included, so
+/// that bytes cannot move from one column to the next undetected.
 pub(super) fn of_columns(columns: &[&[u8]]) -> u32 {
     let mut hasher = crc32fast::Hasher::new();
     for column in columns {
@@ -13,7 +13,8 @@ pub(super) fn of_columns(columns: &[&[u8]]) -> u32 {
     hasher.finalize()
 }
 
-/// Whether a row is as it was written; `stored` is empty for rows of older stores.
+/// Checks that a row is unchanged since it was written; `stored` is `None` for rows of older
+/// stores.
 ///
 /// # Errors
 /// [`StoreError::Unreadable`].

@@ -1,4 +1,4 @@
-//! The open database: one process at a time, every commit on disk before it returns.
+//! The open database: used by one process at a time; every commit is on disk before it returns.
 
 use std::collections::BTreeMap;
 use std::fs::{File, TryLockError};
@@ -14,7 +14,7 @@ use crate::store::upgrades;
 
 /// The database's name in the store's folder.
 pub(super) const FILE_NAME: &str = "plumb.sqlite";
-/// The file that the process which has the store open holds locked.
+/// The lock file of the process that has the store open.
 const LOCK_NAME: &str = "plumb.lock";
 
 /// An open store; may be used from several threads.
@@ -23,15 +23,14 @@ pub struct Store {
     path: PathBuf,
     connection: Mutex<Connection>,
     least_free_bytes: u64,
-    /// Rows that could not be read, and why.
+    /// The rows that could not be read, with the reason.
     unreadable: Mutex<BTreeMap<String, String>>,
     /// Held as long as the store is open: one process at a time.
     _lock: Option<File>,
 }
 
 impl Store {
-    /// Opens the store in `folder`, makes it if it is not there, and brings an older one up to
-    /// date.
+    /// Opens the store in `folder`, creates it if it does not exist, and upgrades an older one.
     ///
     /// # Errors
     /// [`StoreError::Folder`], [`StoreError::InUse`], [`StoreError::Newer`],
@@ -40,8 +39,8 @@ impl Store {
         Self::open_with(folder, 0)
     }
 
-    /// As [`Store::open`], and leaves so many bytes of the disk free: sessions and views are
-    /// refused below that, so that what runs can still be ended.
+    /// Like [`Store::open`], but keeps this many bytes of the disk free: with less free space, new
+    /// sessions and views are refused, so that running sessions can still be ended.
     ///
     /// # Errors
     /// As [`Store::open`].
@@ -63,11 +62,11 @@ impl Store {
         })
     }
 
-    /// As [`Store::open_with`]; a damaged database is moved aside, and what can be read of it is
-    /// copied to a new one. `None` for one that was whole.
+    /// Like [`Store::open_with`], but a damaged database is moved aside, and what can be read of it
+    /// is copied to a new one. `None` for a database that was intact.
     ///
     /// # Errors
-    /// As [`Store::open`]; [`StoreError::Damaged`] where nothing of it can be read.
+    /// As [`Store::open`]; [`StoreError::Damaged`] where none of it can be read.
     pub fn open_or_repair(
         folder: &Path,
         least_free_bytes: u64,
@@ -84,7 +83,7 @@ impl Store {
         }
     }
 
-    /// The store behind a connection that only reads; nothing is locked.
+    /// The store of a read-only connection; no lock is taken.
     pub(super) fn of_reader(path: PathBuf, connection: Connection) -> Self {
         Self {
             path,
@@ -95,13 +94,13 @@ impl Store {
         }
     }
 
-    /// What was found unreadable since the store was opened: a line for each row, with the reason.
+    /// The rows found unreadable since the store was opened: one line for each, with the reason.
     pub fn unreadable(&self) -> Vec<String> {
         let unreadable = lock(&self.unreadable);
         unreadable.iter().map(|(row, detail)| format!("{row}: {detail}")).collect()
     }
 
-    /// The rows that could be read; the others are remembered for [`Store::unreadable`].
+    /// The rows that could be read; the others are recorded for [`Store::unreadable`].
     pub(super) fn readable<T>(&self, rows: impl Iterator<Item = Result<T, StoreError>>) -> Vec<T> {
         let mut unreadable = lock(&self.unreadable);
         let mut kept = Vec::new();
@@ -119,8 +118,8 @@ impl Store {
         kept
     }
 
-    /// The rows of a table that `sql` selects. A row with a column of another type than it was
-    /// made with is unreadable by itself.
+    /// The rows of a table that `sql` selects. A column with an unexpected type makes only its own
+    /// row unreadable.
     pub(super) fn select<T>(
         &self,
         table: &str,
@@ -144,12 +143,12 @@ impl Store {
             .collect()
     }
 
-    /// The folder that it was opened in.
+    /// The folder of the store.
     pub fn folder(&self) -> &Path {
         self.path.parent().unwrap_or(&self.path)
     }
 
-    /// Lets the database grow by so many pages at most, as a full disk does.
+    /// Limits the growth of the database to this many pages, to simulate a full disk.
     #[cfg(test)]
     pub(crate) fn limit_growth(&self, pages: Option<i64>) {
         let connection = self.connection();
@@ -159,13 +158,14 @@ impl Store {
         connection.pragma_update_and_check(None, "max_page_count", most, |_| Ok(())).unwrap();
     }
 
-    /// Whether `bytes` more leave enough of the disk free.
+    /// Checks that enough of the disk stays free after `bytes` more.
     ///
     /// # Errors
     /// [`StoreError::NoRoom`] where they do not.
     pub(crate) fn has_room(&self, bytes: u64) -> Result<(), StoreError> {
         const MB: u64 = 1_000_000;
-        // A file system that does not say is taken to have room: a write that fails says so.
+        // Where the free space is unknown, the disk is assumed to have room: a write that fails
+        // reports it.
         let Some(free) = free_bytes(self.folder()).filter(|_| self.least_free_bytes > 0) else {
             return Ok(());
         };
@@ -193,7 +193,7 @@ impl Store {
     }
 }
 
-/// What is free of the disk for this process, in bytes; `None` where that is not known.
+/// The disk space that is free for this process, in bytes; `None` where it is unknown.
 #[cfg(target_os = "linux")]
 fn free_bytes(folder: &Path) -> Option<u64> {
     let disk = rustix::fs::statvfs(folder).ok()?;
@@ -205,8 +205,8 @@ fn free_bytes(_: &Path) -> Option<u64> {
     None
 }
 
-/// Takes the store in `folder` for this process, as long as the file that is returned lives. Others
-/// may still read the database, which a backup of a running store needs.
+/// Locks the store in `folder` for this process, until the returned file is dropped. Other
+/// processes may still read the database, which a backup of a running store needs.
 fn lock_folder(folder: &Path) -> Result<File, StoreError> {
     let path = folder.join(LOCK_NAME);
     let unusable = |e: std::io::Error| StoreError::Folder {
@@ -221,12 +221,12 @@ fn lock_folder(folder: &Path) -> Result<File, StoreError> {
     }
 }
 
-/// Every commit is on disk before it returns.
+/// Configures the connection so that every commit is on disk before it returns.
 fn prepare(connection: &Connection) -> Result<(), rusqlite::Error> {
     connection.pragma_update_and_check(None, "journal_mode", "WAL", |_| Ok(()))?;
     connection.pragma_update(None, "synchronous", "FULL")?;
     connection.pragma_update(None, "foreign_keys", true)?;
-    // An older plumb that has it open holds it exclusively: noticed now, not with the first write.
+    // An older plumb opens the database exclusively: detected now, not at the first write.
     connection.execute_batch("BEGIN IMMEDIATE; COMMIT;")
 }
 

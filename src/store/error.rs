@@ -1,4 +1,4 @@
-//! Why the store refuses or fails.
+//! Errors of the store.
 
 use std::path::PathBuf;
 
@@ -45,8 +45,8 @@ pub enum StoreError {
         /// This program's.
         known: i64,
     },
-    /// Not a database, another program's, or a broken one; SQLite says the same of a disk that
-    /// cannot be read.
+    /// Not a database, that of another program, or a broken one; SQLite reports the same for a disk
+    /// that cannot be read.
     #[error(
         "store {}: damaged or not a plumb store: {detail}; check `dmesg` for disk errors, then move it away, or restore it from a copy",
         path.display()
@@ -57,7 +57,7 @@ pub enum StoreError {
         /// What is wrong.
         detail: String,
     },
-    /// A row that does not read as what it should be.
+    /// A row that cannot be read as the type that it should contain.
     #[error("store: {row} cannot be read: {detail}; restore the store from a copy")]
     Unreadable {
         /// Which row.
@@ -65,7 +65,7 @@ pub enum StoreError {
         /// What is wrong with it.
         detail: String,
     },
-    /// Something that would not come back as it was given.
+    /// Something that would not read back as it was given.
     #[error("store: {row} cannot be stored: {detail}")]
     Unstorable {
         /// What it is.
@@ -73,7 +73,7 @@ pub enum StoreError {
         /// What is wrong with it.
         detail: String,
     },
-    /// What is named is not there.
+    /// There is no such row.
     #[error(
         "store: there is no {row}; see GET /v1/sessions and GET /v1/cameras/CAMERA/calibrations for those there are"
     )]
@@ -81,15 +81,15 @@ pub enum StoreError {
         /// What was asked for.
         row: String,
     },
-    /// What may not be deleted.
+    /// A row that may not be deleted.
     #[error("store: {row} stays: {reason}")]
     Held {
-        /// What was to be deleted.
+        /// The row.
         row: String,
-        /// Why it stays, and what to do where something can be.
+        /// Why it stays, and what can be done about it, if anything.
         reason: String,
     },
-    /// The disk is fuller than it may become.
+    /// Less of the disk is free than has to stay free.
     #[error(
         "store {}: {free_mb} MB are free and {least_mb} MB are to stay free; make room, or give less as `min_free_mb` in [store]",
         path.display()
@@ -107,7 +107,7 @@ pub enum StoreError {
     Failed {
         /// The database.
         path: PathBuf,
-        /// What it said.
+        /// SQLite's message.
         detail: String,
     },
 }

@@ -1,4 +1,4 @@
-//! What the store's tests keep in it.
+//! Examples that the store's tests use.
 
 use crate::calibration::admission::Rejections;
 use crate::calibration::coverage::Coverage;

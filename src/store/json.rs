@@ -1,4 +1,4 @@
-//! Documents in columns: what is written is what will be read.
+//! Documents in columns: what is written is sure to be readable.
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -6,8 +6,8 @@ use serde::de::DeserializeOwned;
 use crate::document::reading;
 use crate::store::error::StoreError;
 
-/// `document` as JSON, after making sure that it reads back equal. JSON has no number for NaN or
-/// infinity: a document that holds one is refused here, and not found unreadable later.
+/// `document` as JSON, after a check that it reads back equal. JSON cannot represent NaN or
+/// infinity: a document that contains one is refused here, instead of being found unreadable later.
 ///
 /// # Errors
 /// [`StoreError::Unstorable`].

@@ -1,12 +1,12 @@
-//! The record of every session and calibration: one SQLite database in one folder. Uses geometry,
+//! Stores every session and calibration in one SQLite database in one folder. Uses geometry,
 //! imaging, detection, calibration and document.
 //!
-//! What a call wrote is on disk when it returns: a process killed at any moment finds on its next
-//! start everything that was acknowledged, and nothing half. Kept pictures live in the database
-//! with their views, so neither is ever without the other. One process at a time: a second one is
-//! refused, but may read: a backup is made of a store that is in use. Rows are added and sessions
-//! updated; a calibration never changes. Each row has a checksum, and one that is damaged is one
-//! row: the others are served, and it is named.
+//! Everything that a call wrote is on disk when the call returns. A process that was killed finds,
+//! at its next start, everything that was acknowledged, and nothing half written. Images are stored
+//! in the database with their views, so that neither exists without the other. Only one process at
+//! a time may open it for writing; others may read, so that a store in use can be backed up. Rows
+//! are added and sessions are updated; a calibration never changes. Each row has a checksum. A
+//! damaged row affects no other row: it is reported, and the others stay usable.
 
 mod calibrations;
 mod checksum;

@@ -1,4 +1,4 @@
-//! A store that another process may have open: it is checked and copied as it is.
+//! Read-only access to a store that another process may have open: to check it or to copy it.
 
 use std::path::{Path, PathBuf};
 
@@ -8,16 +8,16 @@ use crate::store::database::FILE_NAME;
 use crate::store::error::StoreError;
 use crate::store::{Store, upgrades};
 
-/// How a store was found.
+/// The result of a check.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct StoreCheck {
     /// Sessions, views and calibrations that can be read.
     pub rows: u64,
-    /// What is damaged, a line each: what SQLite found, and rows that cannot be read.
+    /// The damage, one line each: SQLite's findings, and rows that cannot be read.
     pub damage: Vec<String>,
 }
 
-/// A store that is only read.
+/// A store that is opened for reading only.
 #[derive(Debug)]
 pub struct StoreReader {
     path: PathBuf,
@@ -40,8 +40,7 @@ impl StoreReader {
         Ok(Self { path, connection })
     }
 
-    /// Writes a copy of the store, as it is at this moment, to the file `to`, which must not be
-    /// there.
+    /// Writes a copy of the store's present state to the file `to`, which must not exist.
     ///
     /// # Errors
     /// [`StoreError::Folder`] where it cannot be written.
@@ -56,10 +55,10 @@ impl StoreReader {
         synced.map_err(|e| unusable(e.to_string()))
     }
 
-    /// Reads everything: what SQLite finds, every row against its checksum, every document.
+    /// Reads everything: SQLite's integrity check, every row with its checksum, every document.
     ///
     /// # Errors
-    /// [`StoreError::Older`] for a store that this version has not opened yet.
+    /// [`StoreError::Older`] for a store that this version has not upgraded yet.
     pub fn check(self) -> Result<StoreCheck, StoreError> {
         let mut damage = self.findings();
         let version = upgrades::version_of(&self.connection);
@@ -81,7 +80,7 @@ impl StoreReader {
         Ok(StoreCheck { rows, damage })
     }
 
-    /// What SQLite itself finds.
+    /// The findings of SQLite's own check.
     fn findings(&self) -> Vec<String> {
         let findings = || {
             let mut statement = self.connection.prepare("PRAGMA integrity_check")?;
@@ -95,7 +94,7 @@ impl StoreReader {
     }
 }
 
-/// Reads every row; those that cannot be read are in [`Store::unreadable`] or in `damage`.
+/// Counts the rows that can be read; the others are listed in [`Store::unreadable`] or in `damage`.
 fn count_readable(store: &Store, damage: &mut Vec<String>) -> u64 {
     let mut note = |error: StoreError| damage.push(error.to_string());
     let mut rows = 0;

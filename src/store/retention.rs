@@ -1,4 +1,4 @@
-//! What is deleted, and what never is: approved calibrations and the sessions they came from.
+//! Deletes old sessions, but never approved calibrations and the sessions that they came from.
 
 use rusqlite::{OptionalExtension, Transaction, params};
 
@@ -6,23 +6,23 @@ use crate::calibration::session_record::SessionState;
 use crate::store::database::Store;
 use crate::store::error::StoreError;
 
-/// How much is kept of the sessions that are over; no limit unless given.
+/// How many of the finished sessions are kept; no limit unless given.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Retention {
     /// Sessions that began longer ago are deleted, in days.
     pub days: Option<u32>,
-    /// The newest so many are kept.
+    /// This many of the newest are kept.
     pub sessions: Option<u32>,
-    /// The oldest are deleted until the database holds no more, in millions of bytes.
+    /// The oldest are deleted until the database is no larger than this, in millions of bytes.
     pub megabytes: Option<u32>,
 }
 
-/// What a pruning deleted.
+/// What was deleted by pruning.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Pruned {
     /// The sessions, oldest first.
     pub sessions: Vec<String>,
-    /// What they held, in bytes; the database uses it again.
+    /// Their size, in bytes; the database reuses the space.
     pub bytes: u64,
 }
 
@@ -36,12 +36,12 @@ const PRUNABLE: &str = "SELECT id, started_at_ns FROM sessions
     ORDER BY started_at_ns DESC, id DESC";
 
 impl Store {
-    /// Deletes a session that is over, with its views and their images; the calibrations that it
-    /// led to stay.
+    /// Deletes a finished session with its views and images; the calibrations that resulted from it
+    /// stay.
     ///
     /// # Errors
-    /// [`StoreError::Missing`]; [`StoreError::Held`] for one that goes on, or that an approved
-    /// calibration came from; [`StoreError::Failed`].
+    /// [`StoreError::Missing`]; [`StoreError::Held`] for one that is still running, or from which
+    /// an approved calibration came; [`StoreError::Failed`].
     pub fn delete_session(&self, id: &str) -> Result<(), StoreError> {
         let row = || format!("session {id}");
         let state = "SELECT state FROM sessions WHERE id = ?1";
@@ -89,8 +89,8 @@ impl Store {
         }
     }
 
-    /// Deletes sessions that `retention` does not keep, oldest first, with their views and images.
-    /// With `only_list` they are named and stay.
+    /// Deletes the sessions that `retention` does not keep, oldest first, with their views and
+    /// images. With `only_list` they are listed and stay.
     ///
     /// # Errors
     /// [`StoreError::Failed`].
@@ -124,7 +124,7 @@ impl Store {
         Ok(pruned)
     }
 
-    /// Gives the disk back what deleted rows took.
+    /// Returns the space of deleted rows to the disk.
     ///
     /// # Errors
     /// [`StoreError::Failed`].
@@ -140,7 +140,7 @@ impl Store {
         Ok(self.readable(rows.into_iter()))
     }
 
-    /// What the rows take, in bytes: the file without the pages that are free.
+    /// The size of the rows, in bytes: the file without its free pages.
     fn used_bytes(&self) -> Result<u64, StoreError> {
         let connection = self.connection();
         let number = |name: &str| {
@@ -160,7 +160,7 @@ impl Store {
         bytes.map(i64::unsigned_abs).map_err(|e| self.failed(&e))
     }
 
-    /// Changes the database, all or nothing.
+    /// Changes the database in one transaction: completely or not at all.
     fn changed<T>(
         &self,
         change: impl Fn(&Transaction<'_>) -> Result<T, rusqlite::Error>,

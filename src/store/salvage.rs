@@ -1,8 +1,8 @@
-//! Repair of a damaged database: what can be read of it goes to a new one, row by row, and the
-//! damaged file is kept beside it.
+//! Repairs a damaged database: all rows that can be read are copied to a new one, and the damaged
+//! file is kept beside it.
 //!
-//! A page that cannot be read costs the rows in it and no others: each table is read from its first
-//! row upwards and from its last one downwards, and the rows between by their numbers.
+//! A page that cannot be read costs only the rows in it: each table is read from its first row
+//! upwards and from its last row downwards, and the rows in between by their row numbers.
 
 use std::fs;
 use std::io::{Read, Seek, SeekFrom, Write};
@@ -15,25 +15,25 @@ use tempfile::TempDir;
 use crate::store::error::StoreError;
 use crate::store::upgrades;
 
-/// The largest gap between readable rows in which each row number is tried, in rows: a page holds
-/// far fewer; with more of them, row numbers are damaged themselves.
+/// The largest gap between readable rows in which every row number is tried, in rows: a page holds
+/// far fewer; a larger gap means that the row numbers themselves are damaged.
 const LARGEST_GAP: i64 = 100_000;
 /// The size of a page, in bytes: SQLite's default, which no store changes.
 const PAGE: usize = 4096;
 
-/// Where the header has the number of pages, big-endian (SQLite's file format, 1.3).
+/// The position of the number of pages in the header, big-endian (SQLite's file format, 1.3).
 const PAGE_COUNT_AT: u64 = 28;
 
-/// What became of a damaged database.
+/// The result of repairing a damaged database.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RepairReport {
-    /// What SQLite found.
+    /// SQLite's finding.
     pub finding: String,
     /// Where the damaged file is now.
     pub damaged: PathBuf,
     /// How many rows were copied.
     pub copied: u64,
-    /// What could not be read, a line for each table and reason.
+    /// What could not be read, one line for each table and reason.
     pub lost: Vec<String>,
 }
 
@@ -50,10 +50,10 @@ impl std::fmt::Display for RepairReport {
     }
 }
 
-/// Keeps a copy of the first page, which has the schema: without it no row is found again.
+/// Keeps a copy of the first page, which contains the schema: without it no row can be found.
 pub(super) fn keep_first_page(connection: &Connection, path: &Path) {
     let copy = || {
-        // What was written last may still be in the log beside it.
+        // The latest writes may still be in the log beside the database.
         let _ = connection.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |_| Ok(()));
         let mut page = Vec::with_capacity(PAGE);
         fs::File::open(path)?.take(PAGE as u64).read_to_end(&mut page)?;
@@ -63,7 +63,7 @@ pub(super) fn keep_first_page(connection: &Connection, path: &Path) {
         }
         std::io::Result::Ok(())
     };
-    // A store without the copy is as good as one with it, until it is damaged there.
+    // The copy is needed only if the first page is ever damaged, so a failure here is ignored.
     let _ = copy();
 }
 
@@ -71,12 +71,12 @@ fn first_page_of(path: &Path) -> PathBuf {
     path.with_extension("first-page")
 }
 
-/// Moves the damaged database at `path` aside and puts a new one with what can be read of it in its
-/// place; `finding` is what was found wrong.
+/// Moves the damaged database at `path` aside and replaces it with a new one that contains all rows
+/// that can be read; `finding` is the damage that was found.
 ///
 /// # Errors
-/// [`StoreError::Damaged`] where nothing of it can be read, [`StoreError::Folder`] where the new
-/// one cannot be written. The damaged file is then where it was.
+/// [`StoreError::Damaged`] where none of it can be read, [`StoreError::Folder`] where the new one
+/// cannot be written. The damaged file is then where it was.
 pub(super) fn repair(path: &Path, finding: &str) -> Result<RepairReport, StoreError> {
     let unusable = |detail: String| StoreError::Folder { path: path.to_owned(), detail };
     let made = path.with_extension("repaired");
@@ -107,14 +107,15 @@ fn with_suffix(path: &Path, suffix: &str) -> PathBuf {
     name.into()
 }
 
-/// `plumb.sqlite.damaged-1`, or the next that is not there.
+/// `plumb.sqlite.damaged-1`, or the next number for which there is no file.
 fn unused_name(path: &Path) -> PathBuf {
     let named = |number: u32| with_suffix(path, &format!(".damaged-{number}"));
     (1..u32::MAX).map(named).find(|name| !name.exists()).unwrap_or_else(|| named(u32::MAX))
 }
 
-/// The damaged database, open for reading, and its schema's version: as it is, else a copy with the
-/// first page that was kept. The copy's folder is deleted when it is dropped.
+/// The damaged database, open for reading, and the version of its schema. If it cannot be opened as
+/// it is, this is a copy with the first page that was kept. The folder of that copy is deleted when
+/// it is dropped.
 fn readable(
     path: &Path,
     finding: &str,
@@ -134,8 +135,8 @@ fn copy_in(folder: &TempDir, path: &Path) -> PathBuf {
     folder.path().join(path.file_name().unwrap_or_default())
 }
 
-/// A copy of the database with another first page, and of the log beside it, which has what was
-/// written last.
+/// A copy of the database with another first page, and of the log beside it, which contains the
+/// latest writes.
 fn with_first_page(path: &Path, page: &[u8]) -> Result<TempDir, std::io::Error> {
     let folder = tempfile::tempdir_in(path.parent().unwrap_or(path))?;
     let copy = copy_in(&folder, path);
@@ -148,20 +149,20 @@ fn with_first_page(path: &Path, page: &[u8]) -> Result<TempDir, std::io::Error> 
     let mut file = fs::File::options().write(true).open(&copy)?;
     let pages = u32::try_from(file.metadata()?.len() / PAGE as u64).unwrap_or(u32::MAX);
     file.write_all(page)?;
-    // The database has grown since.
+    // The database has grown since the first page was copied.
     file.seek(SeekFrom::Start(PAGE_COUNT_AT))?;
     file.write_all(&pages.to_be_bytes())?;
     Ok(folder)
 }
 
-/// `None` for what has not the schema of a store.
+/// `None` for a database that does not have the schema of a store.
 fn opened(path: &Path) -> Option<(usize, Connection)> {
     let connection = Connection::open_with_flags(path, OpenFlags::SQLITE_OPEN_READ_WRITE).ok()?;
     let version = upgrades::version_of(&connection)?;
     Some((version, connection))
 }
 
-/// How many rows were copied, and what was lost.
+/// Copies all tables. Returns how many rows were copied, and what was lost.
 fn copy_tables(
     old: &Connection,
     new: &mut Connection,
@@ -180,17 +181,17 @@ fn copy_tables(
     Ok((copied, lost))
 }
 
-/// The copy of one table as far as it can be read, a row in memory at a time.
+/// Copies one table as far as it can be read, with one row in memory at a time.
 struct TableCopy<'a> {
     old: &'a Connection,
     new: &'a Connection,
     table: &'a str,
     copied: u64,
-    /// Rows that the new table does not take.
+    /// How many rows the new table did not accept.
     refused: u64,
-    /// Row numbers that could not be read.
+    /// Ranges of row numbers that could not be read.
     unread: Vec<(i64, i64)>,
-    /// What SQLite said to the first of them.
+    /// SQLite's error for the first of them.
     reason: Option<String>,
 }
 
@@ -223,7 +224,8 @@ impl<'a> TableCopy<'a> {
         }
     }
 
-    /// Copies rows until one cannot be read; why, and the number of the last one that could.
+    /// Copies rows until one cannot be read. Returns the error, and the number of the last row that
+    /// could be read.
     fn scan(&mut self, sql: &str) -> (Option<String>, Option<i64>) {
         let mut last = None;
         let reason = self.copy_rows(sql, &mut last).err().map(|error| error.to_string());
@@ -240,7 +242,7 @@ impl<'a> TableCopy<'a> {
         while let Some(row) = rows.next()? {
             let number: i64 = row.get(0)?;
             let values = (1..columns).map(|column| row.get(column));
-            // A text that is none any more costs its row.
+            // A row with invalid UTF-8 in a text column is lost.
             match values.collect::<Result<Vec<Value>, _>>() {
                 Ok(values) => match insert.execute(params_from_iter(values)) {
                     Ok(_) => self.copied += 1,
@@ -263,7 +265,7 @@ impl<'a> TableCopy<'a> {
         }
     }
 
-    /// A line for rows that could not be read, and one for rows that were refused.
+    /// One line for the rows that could not be read, and one for the rows that were refused.
     fn lost(&self) -> Vec<String> {
         let Self { table, refused, .. } = self;
         let named = |(first, last): &(i64, i64)| match (first, last) {

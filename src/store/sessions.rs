@@ -10,13 +10,13 @@ use crate::store::{checksum, json};
 
 const COLUMNS: &str =
     "SELECT id, camera, state, started_at_ns, collecting_s, document, checksum FROM sessions";
-/// Whether ?1 is a camera in the rig; a damaged document says nothing of it.
+/// Whether ?1 is a camera in the session's rig; NULL for a damaged document, where it is unknown.
 const OF_MEMBER: &str = "CASE WHEN json_valid(document) THEN EXISTS (
     SELECT 1 FROM json_each(document, '$.cameras') AS member
     WHERE member.value ->> '$.camera' = ?1) END";
 
 impl Store {
-    /// Writes a new session down.
+    /// Stores a new session.
     ///
     /// # Errors
     /// [`StoreError::NoRoom`]; [`StoreError::Failed`], also when its id is taken;
@@ -39,7 +39,7 @@ impl Store {
         Ok(())
     }
 
-    /// Writes down where a session stands now.
+    /// Stores the present state of a session.
     ///
     /// # Errors
     /// [`StoreError::Missing`] for one that was never begun; [`StoreError::Failed`],
@@ -50,7 +50,7 @@ impl Store {
         self.saved(record, saved)
     }
 
-    /// Whether there was a session to update.
+    /// Fails if there was no session to update.
     pub(super) fn saved(
         &self,
         record: &SessionRecord,
@@ -80,9 +80,10 @@ impl Store {
         self.select_sessions(&format!("{COLUMNS} ORDER BY started_at_ns DESC, id DESC"))
     }
 
-    /// A page of the sessions that can be read, newest first: at most `limit`, after the session
-    /// `after`; where `camera` is given only those of which [`SessionRecord::is_of`] it holds.
-    /// Where there are more, also the last session of the page, which those come after.
+    /// A page of the sessions that can be read, newest first: at most `limit` sessions that follow
+    /// the session `after`. If `camera` is given, only those for which [`SessionRecord::is_of`]
+    /// holds. If there are more, also the last session of the page, from which the next page
+    /// follows.
     ///
     /// # Errors
     /// [`StoreError::Failed`]; [`StoreError::Missing`] where there is no session `after`.
@@ -106,7 +107,7 @@ impl Store {
             "{COLUMNS} WHERE (?1 IS NULL OR camera = ?1 OR {OF_MEMBER})
             AND (started_at_ns, id) < (?2, ?3) ORDER BY started_at_ns DESC, id DESC LIMIT ?4"
         );
-        // One more than asked for says whether there are more.
+        // One row more than requested shows whether there are more.
         let values: [&dyn ToSql; 4] = [&camera, &start.0, &start.1, &(i64::from(limit) + 1)];
         let mut rows = self.select("sessions", &sql, &values, StoredSession::from_row)?;
         let has_more = rows.len() > limit as usize;
@@ -116,8 +117,9 @@ impl Store {
         Ok((self.readable(records), last.filter(|_| has_more)))
     }
 
-    /// The sessions that were collecting or solving, oldest first: what a process that was killed
-    /// goes on with. One that cannot be read is left where it is: [`Store::unreadable`] has it.
+    /// The sessions that were collecting or solving, oldest first: those that are resumed after the
+    /// process was killed. One that cannot be read is left as it is and listed by
+    /// [`Store::unreadable`].
     ///
     /// # Errors
     /// [`StoreError::Failed`].
@@ -135,7 +137,7 @@ impl Store {
     }
 }
 
-/// Writes down where a session stands; how many sessions have its id.
+/// Updates a session's state. Returns how many sessions have its id.
 pub(super) fn update_session(
     connection: &Connection,
     record: &SessionRecord,
@@ -148,7 +150,7 @@ pub(super) fn update_session(
     connection.execute(sql, row)
 }
 
-/// A session as its column has it.
+/// A session as the JSON of its column.
 pub(super) fn document(record: &SessionRecord) -> Result<String, StoreError> {
     json::write(&SessionDocument::from(record), || format!("session {}", record.id))
 }

@@ -1,5 +1,5 @@
-//! The schema, version by version. A new version is a new file here and one line below; what was
-//! released never changes.
+//! The schema, version by version. A new version is a new file here and one more line below; a
+//! released version never changes.
 
 use std::path::Path;
 
@@ -7,7 +7,7 @@ use rusqlite::{Connection, Transaction};
 
 use crate::store::error::StoreError;
 
-/// What leads from each version to the next: the first makes an empty database version 1.
+/// The upgrades from each version to the next: the first creates version 1 in an empty database.
 const UPGRADES: &[&str] = &[
     include_str!("upgrades/001.sql"),
     include_str!("upgrades/002.sql"),
@@ -18,10 +18,11 @@ const UPGRADES: &[&str] = &[
     include_str!("upgrades/007.sql"),
 ];
 
-/// Marks the file as Plumb's: "Plmb" in ASCII.
+/// The application id in the database file: "Plmb" in ASCII.
 const APPLICATION_ID: i64 = 0x506c_6d62;
 
-/// Checks that the database is Plumb's and whole, and applies the upgrades it lacks, all or none.
+/// Checks that the database is an intact one of Plumb's, and applies the missing upgrades, all or
+/// none.
 ///
 /// # Errors
 /// [`StoreError::Newer`], [`StoreError::Damaged`].
@@ -58,8 +59,8 @@ pub(super) fn known() -> usize {
     UPGRADES.len()
 }
 
-/// The version of a store by its tables and their columns, whatever its header says; `None` for
-/// what has those of no version that is known here.
+/// The version of a store, derived from its tables and columns, not from its header; `None` if they
+/// match no known version.
 pub(super) fn version_of(connection: &Connection) -> Option<usize> {
     let found = columns_of(connection).ok()?;
     (1..=UPGRADES.len()).rev().find(|version| {
@@ -83,7 +84,7 @@ fn columns_of(connection: &Connection) -> Result<Vec<(String, String)>, rusqlite
     columns.collect()
 }
 
-/// Makes the tables of a version in an empty database.
+/// Creates the tables of a version in an empty database.
 ///
 /// # Errors
 /// Where the database cannot be written.
@@ -98,12 +99,12 @@ pub(super) fn make_version(
     transaction.pragma_update(None, "user_version", version as i64)
 }
 
-/// The tables, each after those that it refers to.
+/// The tables, each after the tables that it refers to.
 ///
 /// # Errors
 /// Where the schema cannot be read.
 pub(super) fn tables_of(connection: &Connection) -> Result<Vec<String>, rusqlite::Error> {
-    // A table refers to older ones; one that is made anew is renamed last.
+    // A table refers only to older ones; but a table that was recreated comes last by rowid.
     let sql = "SELECT name FROM sqlite_schema WHERE type = 'table' AND name NOT LIKE 'sqlite_%'
         ORDER BY name = 'sessions' DESC, name = 'calibrations' DESC, name = 'views' DESC, rowid";
     let mut statement = connection.prepare(sql)?;

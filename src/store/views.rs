@@ -1,4 +1,5 @@
-//! The table of views: what each sensor gave in a frame set that a session kept, with its picture.
+//! The table of views: what each sensor delivered in a frame set that a session kept, with its
+//! image.
 
 use rusqlite::{Connection, Row, params};
 
@@ -16,36 +17,36 @@ use crate::store::database::Store;
 use crate::store::error::StoreError;
 use crate::store::{checksum, json, sessions};
 
-/// A kept picture, as it was given.
+/// A stored image, unchanged.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Picture {
-    /// What `bytes` are, as in `image/jpeg`.
+    /// The format of `bytes`, such as `image/jpeg`.
     pub media_type: String,
-    /// The encoded picture; of depth without loss.
+    /// The encoded image; a depth image is encoded without loss.
     pub bytes: Vec<u8>,
 }
 
-/// What a sensor gave in a frame set that was kept.
+/// What a sensor delivered in a frame set that was kept.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SensorView {
-    /// The frame set; what was taken together has the same.
+    /// The frame set; views that were taken together have the same.
     pub frame_set: u32,
     /// The sensor.
     pub sensor: SensorId,
-    /// Its number among the session's views, for the sensor of a camera that boards are searched
-    /// for in; `None` for the camera's others.
+    /// Its number among the session's views, for the sensor in whose images boards are searched;
+    /// `None` for the camera's other sensors.
     pub number: Option<u32>,
     /// The frame, with the size of this sensor's image.
     pub frame: FrameFacts,
-    /// What the readings of depth mean, where the device states it.
+    /// The encoding of the depth readings, where the device states it.
     pub depth_encoding: Option<DepthEncoding>,
     /// The board in it, where it was found.
     pub detection: Option<Detection>,
 }
 
 impl SensorView {
-    /// The view of a camera as its session goes on with it; `camera` is the camera's place in the
-    /// instrument. `None` for a sensor that boards are not searched for in.
+    /// The view of a camera as its session continues with it; `camera` is the camera's place in the
+    /// instrument. `None` for a sensor in whose images no board is searched.
     pub fn to_kept(&self, camera: usize) -> Option<(KeptView, View)> {
         let (number, detection) = (self.number?, self.detection.clone()?);
         let kept = KeptView { number, camera, frame_set: self.frame_set, view: 0 };
@@ -54,13 +55,13 @@ impl SensorView {
 }
 
 impl Store {
-    /// Writes down what sensors gave in a frame set that a session keeps, with their images, and
-    /// where the session stands with them, all or none; all are on disk when this returns.
+    /// Stores the views of a frame set that a session keeps, with their images and the session's
+    /// new state, all or none; all are on disk when this returns.
     ///
     /// # Errors
     /// [`StoreError::NoRoom`]; [`StoreError::Failed`], also for a number or place that is taken;
-    /// [`StoreError::Missing`] for a session that was never begun; [`StoreError::Unstorable`] for a
-    /// detection with a number that is none.
+    /// [`StoreError::Missing`] for a session that was never stored; [`StoreError::Unstorable`] for
+    /// a detection that contains NaN or infinity.
     pub fn keep_views(
         &self,
         record: &SessionRecord,
@@ -85,9 +86,9 @@ impl Store {
         self.saved(record, insert())
     }
 
-    /// What every sensor gave in the frame sets of a session, frame set by frame set, the sensors
-    /// with a number first; none for a session that is not there. Views that cannot be read are
-    /// left out: [`Store::unreadable`] has them.
+    /// What every sensor delivered in the frame sets of a session, frame set by frame set, the
+    /// sensors with a number first; empty for a session that does not exist. Views that cannot be
+    /// read are left out and listed by [`Store::unreadable`].
     ///
     /// # Errors
     /// [`StoreError::Failed`].
@@ -101,7 +102,7 @@ impl Store {
         Ok(self.readable(views))
     }
 
-    /// The picture that a sensor gave in a session's frame set.
+    /// The image that a sensor delivered in a session's frame set.
     ///
     /// # Errors
     /// [`StoreError::Failed`].
@@ -115,7 +116,7 @@ impl Store {
         self.select_picture("frame_set = ?2 AND camera = ?3 AND sensor = ?4", place)
     }
 
-    /// The picture of a session's view.
+    /// The image of a session's view.
     ///
     /// # Errors
     /// [`StoreError::Failed`].
@@ -137,7 +138,7 @@ impl Store {
     }
 }
 
-/// A view without its picture.
+/// The columns of a view without its image.
 const FACTS: &str =
     "session, frame_set, camera, sensor, number, sequence, name, host_time_ns, device_time_ns,
     width, height, unit_m, detection, depth_encoding";
@@ -169,7 +170,7 @@ fn picture_checksum(picture: &Picture) -> u32 {
     checksum::of_columns(&[picture.media_type.as_bytes(), &picture.bytes])
 }
 
-/// A camera's name as the column has it.
+/// A camera's name as it is stored in its column.
 fn camera_column(sensor: &SensorId) -> &str {
     sensor.camera.as_deref().unwrap_or_default()
 }
@@ -178,7 +179,7 @@ fn row_name(session_id: &str, frame_set: u32, sensor: &str) -> String {
     format!("{sensor} in frame set {frame_set} of session {session_id}")
 }
 
-/// A view as its columns have it, without its picture.
+/// A view as it is stored in its columns, without its image.
 struct StoredView {
     session: String,
     camera: String,
@@ -186,7 +187,7 @@ struct StoredView {
     frame_set: u32,
     number: Option<u32>,
     frame: FrameFacts,
-    /// Of rows of older stores, in place of `depth_encoding`.
+    /// Used instead of `depth_encoding` in rows of older stores.
     unit_m: Option<f64>,
     detection: Option<String>,
     depth_encoding: Option<String>,
@@ -221,7 +222,7 @@ impl StoredView {
             self.camera,
             self.sensor,
             self.number,
-            // SQLite has no unsigned integers: the bits are kept.
+            // SQLite has no unsigned integers: the bits are stored as a signed one.
             frame.sequence as i64,
             frame.name,
             frame.host_time_ns,
@@ -265,7 +266,7 @@ impl StoredView {
         })
     }
 
-    /// The checksum of the columns but for the picture.
+    /// The checksum of the columns without the image.
     fn computed_checksum(&self) -> u32 {
         let FrameFacts { sequence, name, host_time_ns, device_time_ns, image_size } = &self.frame;
         let ImageSize { width, height } = image_size;
@@ -277,7 +278,7 @@ impl StoredView {
         );
         let detection = self.detection.as_deref().unwrap_or_default();
         let mut texts = vec![&self.session, &self.camera, &self.sensor, &numbers, detection];
-        // Rows of older stores are without it, and so are their checksums.
+        // Rows of older stores do not have it, so their checksums do not include it.
         texts.extend(self.depth_encoding.as_deref());
         let columns: Vec<&[u8]> = texts.into_iter().map(str::as_bytes).collect();
         checksum::of_columns(&columns)
