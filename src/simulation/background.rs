@@ -1,12 +1,12 @@
-//! What is behind the board: a wall with a slow gradient and bright and dark rectangles, some with
-//! as a window or a shelf, and none of them a chessboard.
+//! The background behind the board: a wall with a slow gradient and bright and dark rectangles,
+//! like windows or shelves, but without a chessboard.
 
 use nalgebra::Vector3;
 use rand::RngExt;
 
 use crate::simulation::noise::{Purpose, stream};
 
-/// A wall one unit before the camera.
+/// A wall at a distance of one unit in front of the camera.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Background {
     level: f64,
@@ -43,8 +43,8 @@ impl Background {
         Self { level, slope, patches }
     }
 
-    /// The light that comes along `ray` (any length); that of the wall's edge for rays that do not
-    /// meet it.
+    /// The light that arrives along `ray` (of any length); for rays that do not meet the wall, the
+    /// wall's mean brightness.
     pub fn light(&self, ray: &Vector3<f64>) -> f64 {
         if !(ray.z > 0.0) {
             return self.level;

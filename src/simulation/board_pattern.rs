@@ -1,4 +1,4 @@
-//! The board's print: how much light a small patch of it returns, as an exact area integral.
+//! The board's print: the light that a small patch of it reflects, as an exact area integral.
 
 use crate::geometry::board::Chessboard;
 
@@ -9,16 +9,17 @@ pub struct BoardPattern {
     pub board: Chessboard,
     /// Width of the white rim around the outer squares, in squares.
     pub rim_squares: f64,
-    /// Part of the light that the white returns.
+    /// Reflectance of the white, 0 to 1.
     pub white: f64,
-    /// Part of the light that the black returns.
+    /// Reflectance of the black, 0 to 1.
     pub black: f64,
 }
 
-/// What a patch holds.
+/// The integral over a patch.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Shade {
-    /// Light returned by the part of the patch that lies on the board, per area of the whole patch.
+    /// Light reflected by the part of the patch that lies on the board, per area of the whole
+    /// patch.
     pub light: f64,
     /// The part of the patch that lies on the board, 0 to 1.
     pub coverage: f64,
@@ -48,9 +49,9 @@ impl BoardPattern {
         ]
     }
 
-    /// The light returned by the convex quadrilateral `patch`, whose vertices are in squares from
-    /// the first inner corner, and how much of it is board: the pattern's integral over its area,
-    /// exact to rounding.
+    /// The light reflected by the convex quadrilateral `patch`, whose vertices are in squares from
+    /// the first inner corner, and the part of it that lies on the board: the pattern's integral
+    /// over its area, exact to rounding.
     pub fn shade(&self, patch: &[[f64; 2]; 4]) -> Shade {
         let [mut low, mut high] = [patch[0], patch[0]];
         for vertex in &patch[1..] {
@@ -60,15 +61,15 @@ impl BoardPattern {
             }
         }
         let [left, right, top, bottom] = self.edges_in_squares();
-        // Written so that NaN, a patch that sees no plane, is outside.
+        // Written so that NaN, a patch whose rays miss the plane, counts as outside.
         if !(high[0] > left && low[0] < right && high[1] > top && low[1] < bottom) {
             return Shade::default();
         }
         let within = low[0] >= left && high[0] <= right && low[1] >= top && high[1] <= bottom;
         let cell = [low[0].floor(), low[1].floor()];
         if within && high[0] <= cell[0] + 1.0 && high[1] <= cell[1] + 1.0 {
-            // The rim's outer edge is inside its cell, so a patch of one cell and within the card
-            // has one shade.
+            // The rim's outer edge is inside its cell, so a patch within one cell and within the
+            // card has only one shade.
             return Shade {
                 light: self.reflectance(cell[0] as i64, cell[1] as i64),
                 coverage: 1.0,
@@ -78,8 +79,8 @@ impl BoardPattern {
         self.integral(&whole, low, high)
     }
 
-    /// The one shade of all of a patch, whose sides may bulge by a tenth of it; `None` if it may
-    /// hold several.
+    /// The shade of a patch that has only one, where its sides may be curved by a tenth of its
+    /// size; `None` if it may have several.
     pub(super) fn even_shade(&self, patch: &[[f64; 2]; 4]) -> Option<Shade> {
         let [mut low, mut high] = [patch[0], patch[0]];
         for vertex in &patch[1..] {
@@ -93,7 +94,7 @@ impl BoardPattern {
         let [low, high] =
             [[low[0] - margin[0], low[1] - margin[1]], [high[0] + margin[0], high[1] + margin[1]]];
         if patch.iter().any(|vertex| vertex[0].is_nan()) {
-            // All of it points past the plane, or its edge runs through it.
+            // Either all of its rays miss the plane, or only some do.
             return patch.iter().all(|vertex| vertex[0].is_nan()).then(Shade::default);
         }
         if high[0] < left || low[0] > right || high[1] < top || low[1] > bottom {
@@ -128,8 +129,8 @@ impl BoardPattern {
         shade
     }
 
-    /// Of the cell whose first corner is (`col`, `row`): the square outside the first inner corner,
-    /// (−1, −1), is dark.
+    /// The reflectance of the cell whose first corner is (`col`, `row`): the square outside the
+    /// first inner corner, (−1, −1), is dark.
     fn reflectance(&self, col: i64, row: i64) -> f64 {
         let size = self.board.size;
         let square =

@@ -1,6 +1,6 @@
-//! A stereo depth camera: what it measures of a scene, with every way in which it errs.
+//! A stereo depth camera: its measurement of a scene, with all of its errors.
 //!
-//! Everything happens in inverse depth q = 1/z, in which a stereo matcher measures:
+//! All errors apply to inverse depth q = 1/z, which is what a stereo matcher measures:
 //!
 //! ```text
 //! q' = q · (1 + scale(u, v)) + offset(u, v) + noise,   rounded to steps
@@ -22,8 +22,8 @@ use crate::imaging::depth_image::DepthImage;
 use crate::simulation::board_pattern::BoardPattern;
 use crate::simulation::noise::{Purpose, stream};
 
-/// The systematic error of inverse depth: two fields over the image, each with five coefficients,
-/// of 1, x, y, x² + y², sin(3x + 1) · cos(2.5y), where x and y are from the image's middle in
+/// The systematic error of inverse depth: two fields over the image. Each has five coefficients, of
+/// 1, x, y, x² + y², sin(3x + 1) · cos(2.5y), where x and y are measured from the image's middle in
 /// half widths.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct DepthError {
@@ -34,8 +34,7 @@ pub struct DepthError {
 }
 
 impl DepthError {
-    /// The inverse depth that is measured, without noise, where the true one is `inverse_depth`, in
-    /// 1/m.
+    /// The measured inverse depth, without noise, where the true one is `inverse_depth`, in 1/m.
     pub fn measured(&self, inverse_depth: f64, pixel: Pixel, size: ImageSize) -> f64 {
         let half = 0.5 * f64::from(size.width);
         let center = size.center();
@@ -59,26 +58,27 @@ pub struct SimulatedDepthSensor {
     pub unit_m: f64,
     /// Its systematic error.
     pub error: DepthError,
-    /// σ of a reading's noise, in 1/m of inverse depth.
+    /// σ of a reading's noise in inverse depth, in 1/m.
     pub noise_per_m: f64,
-    /// Steps of inverse depth, in 1/m: a matcher's smallest fraction of a pixel.
+    /// Quantization step of inverse depth, in 1/m: that of a matcher's smallest fraction of a
+    /// pixel.
     pub step_per_m: f64,
     /// Focal length times baseline, in pixel meters: disparity is this times inverse depth. Nothing
-    /// is measured in the left band that the other eye doesn't see, nor in the shadow left of what
-    /// stands in front.
+    /// is measured in the band on the left that the second camera does not see, nor in the
+    /// occlusion to the left of an object in front.
     pub disparity_px_m: f64,
-    /// Patches per image where matching fails.
+    /// Patches in each image where matching fails.
     pub holes: usize,
-    /// Part of the pixels where it fails by themselves.
+    /// Part of the pixels where it fails independently.
     pub dropout: f64,
 }
 
-/// The scene before the depth camera.
+/// The scene in front of the depth camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct DepthScene<'a> {
     pub pattern: &'a BoardPattern,
     pub depth_from_board: Pose,
-    /// The wall's distance along the optical axis, and its slopes against x and y.
+    /// The wall's distance along the optical axis, and its slopes in x and y.
     pub wall: [f64; 3],
 }
 
@@ -89,16 +89,16 @@ pub(super) struct DepthRenderer {
     rays: Vec<Option<[f64; 2]>>,
 }
 
-/// What is truly there at each pixel, row by row.
+/// The ground truth at each pixel, row by row.
 #[derive(Debug, Clone)]
 pub(super) struct TrueDepth {
     /// 1/z in 1/m, 0 where nothing is seen.
     pub inverse: Vec<f64>,
-    /// Which thing it is of: where two meet, a matcher finds nothing.
+    /// The object that the pixel shows: at the edge between two objects, matching fails.
     pub thing: Vec<u64>,
 }
 
-/// The number of the board among things; the wall behind it is 0.
+/// The number of the board as an object; that of the wall behind it is 0.
 const BOARD: u64 = 1;
 
 impl DepthRenderer {
@@ -117,12 +117,12 @@ impl DepthRenderer {
         self.measured(&self.true_depth(scene), seed, index)
     }
 
-    /// The ray of each pixel, row by row, with z = 1; `None` where the lens sees nothing.
+    /// The ray of each pixel, row by row, with z = 1; `None` where the lens has no ray.
     pub(super) fn rays(&self) -> impl Iterator<Item = Option<Vector3<f64>>> + '_ {
         self.rays.iter().map(|ray| ray.map(|[x, y]| Vector3::new(x, y, 1.0)))
     }
 
-    /// What the sensor makes of what is truly there, as the `index`-th depth image of `seed`.
+    /// The sensor's measurement of the ground truth, as the `index`-th depth image of `seed`.
     pub(super) fn measured(&self, truth: &TrueDepth, seed: u64, index: u64) -> DepthImage {
         let mut rng = stream(seed, Purpose::Depth, index);
         let mut blind = self.unmatched(truth);
@@ -176,8 +176,8 @@ impl DepthRenderer {
         TrueDepth { inverse, thing }
     }
 
-    /// Where the matcher finds nothing: across edges of things, in the other eye's shadow, and
-    /// left of its view.
+    /// Where matching fails: at edges of objects, where the second camera's view is occluded, and
+    /// to the left of its view.
     fn unmatched(&self, truth: &TrueDepth) -> Vec<bool> {
         const WINDOW: usize = 2;
         let width = self.sensor.size.width as usize;
@@ -185,7 +185,7 @@ impl DepthRenderer {
         let mut blind = vec![false; truth.inverse.len()];
         for (y, row) in truth.inverse.chunks_exact(width).enumerate() {
             let disparity = |x: usize| row[x] * self.sensor.disparity_px_m;
-            // Of all that the other eye sees at a place, the nearest hides the rest.
+            // Of all points at one pixel of the second camera, it sees only the nearest.
             let mut nearest = vec![0.0_f64; width];
             for x in 0..width {
                 let there = x as f64 - disparity(x);

@@ -1,4 +1,4 @@
-//! A camera's sensor: its lens, and how light becomes numbers.
+//! A camera's sensor: its lens, and the conversion of light to gray values.
 
 use rand::RngExt;
 use rand_distr::StandardNormal;
@@ -17,17 +17,18 @@ pub struct ImageSensor {
     pub lens: Lens,
     /// σ of the optical blur, in pixels.
     pub blur_px: f64,
-    /// How long the shutter is open, in seconds: what moves meanwhile is smeared.
+    /// How long the shutter is open, in seconds: motion during this time blurs the image.
     pub exposure_s: f64,
-    /// The image's level: what returns all light gets this part of full scale.
+    /// The brightness of the image: a surface that reflects all light has this part of full scale.
     pub exposure_gain: f64,
-    /// Electrons at full scale: shot noise is their square root.
+    /// Electrons at full scale: the standard deviation of shot noise is the square root of their
+    /// number.
     pub full_well_e: f64,
-    /// σ of the noise of reading a pixel, in electrons.
+    /// σ of a pixel's read noise, in electrons.
     pub read_noise_e: f64,
-    /// The image's values are light to the power 1/gamma.
+    /// Gray values are light to the power 1/gamma.
     pub gamma: f64,
-    /// Light lost in the corners of the image, 0 to 1.
+    /// The part of the light that is lost in the corners of the image, 0 to 1.
     pub vignetting: f64,
 }
 
@@ -48,8 +49,8 @@ impl ImageSensor {
         }
     }
 
-    /// The image of `light` (a value a pixel, 1 is what a perfect white returns), with the noise
-    /// of the `index`-th image of `seed`.
+    /// The image of `light` (one value for each pixel; 1 is the light that a perfect white
+    /// reflects), with the noise of the `index`-th image of `seed`.
     pub fn develop(&self, light: &[f32], seed: u64, index: u64) -> GrayImage {
         let (width, height) = (self.size.width as usize, self.size.height as usize);
         let mut image = GrayImage::filled(width, height, 0);
@@ -70,7 +71,8 @@ impl ImageSensor {
     }
 }
 
-/// Light to 8 bits, by a table: the same on every machine but for the table's own rounding.
+/// Light to 8 bits, by a table: the same on every machine except for the rounding of the table
+/// itself.
 struct ToneCurve {
     table: Vec<f32>,
 }

@@ -1,19 +1,19 @@
-//! From light on sub-pixels to light on pixels: the optics' Gaussian blur and the pixel's own area,
-//! in one filter.
+//! From light on sub-pixels to light on pixels: the Gaussian blur of the optics and the integration
+//! over the pixel's area, in one filter.
 
 use crate::simulation::rays::SUBPIXELS;
 
-/// A separable filter that blurs and reduces by [`SUBPIXELS`]. Applied along one axis it gives one
-/// value a pixel.
+/// A separable filter that blurs and subsamples by [`SUBPIXELS`]. Along one axis it gives one value
+/// for each pixel.
 #[derive(Debug, Clone)]
 pub(super) struct LightFilter {
     weights: Vec<f32>,
-    /// Pixels on each side that light comes from.
+    /// The pixels on each side that contribute light.
     pub reach: usize,
 }
 
 impl LightFilter {
-    /// A Gaussian of `blur_px` pixels (its σ), averaged over a pixel.
+    /// A Gaussian with σ = `blur_px` pixels, averaged over a pixel.
     pub(super) fn new(blur_px: f64) -> Self {
         let reach = (4.5 * blur_px).ceil() as usize;
         let length = (2 * reach + 1) * SUBPIXELS;
@@ -37,7 +37,7 @@ impl LightFilter {
         Self { weights: weights.into_iter().map(|weight| weight as f32).collect(), reach }
     }
 
-    /// Filters the sub-pixels of a row: `out[i]` is pixel i, whose first tap is `row[i ·
+    /// Filters the sub-pixels of a row: `out[i]` is pixel i, whose filter begins at `row[i ·
     /// SUBPIXELS]`.
     pub(super) fn reduce_row(&self, row: &[f32], out: &mut [f32]) {
         out.fill(0.0);
@@ -48,7 +48,7 @@ impl LightFilter {
         }
     }
 
-    /// Filters columns: `rows` are as many reduced rows as there are taps, `out` one row of pixels.
+    /// Filters columns: `rows` contains one reduced row for each tap; `out` is one row of pixels.
     pub(super) fn reduce_columns<'a>(
         &self,
         rows: impl Iterator<Item = &'a [f32]>,
@@ -62,7 +62,7 @@ impl LightFilter {
         }
     }
 
-    /// How many sub-pixels a pixel takes light from, along one axis.
+    /// How many sub-pixels contribute to a pixel along one axis.
     pub(super) fn taps(&self) -> usize {
         self.weights.len()
     }

@@ -1,5 +1,5 @@
-//! A rendered world with exact truth: a chessboard that is carried about before one camera or
-//! several, or a textured scene that a camera is carried through.
+//! A rendered world with exact ground truth: a chessboard that is moved in front of one or several
+//! cameras, or a textured scene that a camera moves through.
 //!
 //! ```text
 //! Walk ──pose at a time──▶ Renderer ──light on the sensor──▶ ImageSensor::develop ──▶ image
@@ -7,10 +7,10 @@
 //!   └── FrameTruth           ▲ Background, Optics (blur), rays of any Lens
 //! ```
 //!
-//! Every pixel is an integral: the squares over its quarters exactly (polygon areas, no point
-//! samples), the optical blur over a finer grid than the pixels, the exposure over several poses.
-//! What is true of an image is therefore known to about a thousandth of a pixel, and everything
-//! random comes from a seed: same world, same bytes.
+//! Every pixel is an integral: over its sub-pixels for the squares (exact polygon areas, no point
+//! samples), over a finer grid than the pixels for the optical blur, over several poses for the
+//! exposure. The ground truth of an image is therefore known to about a thousandth of a pixel.
+//! Everything random comes from a seed: the same options give the same bytes.
 
 mod background;
 mod board_pattern;

@@ -1,10 +1,10 @@
-//! Seeded randomness: a stream of its own for every purpose, so that one more draw here changes
-//! nothing there.
+//! Seeded randomness: each purpose has its own stream, so that an additional draw for one changes
+//! nothing for the others.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-/// What random numbers are drawn for.
+/// The purpose of random numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u64)]
 pub(super) enum Purpose {

@@ -1,5 +1,5 @@
-//! A person with a board before a camera: one who follows what is asked for, one who waves the
-//! board about, one who fills the bars of ROS's calibrator. Reaction takes time, hands have a
+//! A simulated person with a board in front of a camera: one who follows requests, one who waves
+//! the board about, one who fills the bars of ROS's calibrator. Reactions take time, hands have a
 //! limited speed and tremble, and one request in ten is misunderstood.
 
 use std::f64::consts::TAU;
@@ -19,9 +19,9 @@ use crate::simulation::tremor::tremor;
 /// What the person does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum OperatorKind {
-    /// Holds the board where it is asked for.
+    /// Holds the board where it is requested.
     Follows,
-    /// Waves it about at will.
+    /// Moves it at random.
     Wanders,
     /// Fills the bars of ROS's `cameracalibrator`: from side to side, up and down, near and far,
     /// then tilted; and again.
@@ -47,24 +47,25 @@ impl OperatorKind {
     }
 }
 
-/// What a person can do. The figures are those of unhurried adults: choice reactions take 0.5 to 1
-/// s with an image to understand first, and hands at rest drift by a few tenths of a millimeter,
-/// here at 1.1 to 2.9 Hz. Tremor proper, at 8 to 12 Hz, is not simulated.
+/// A person's abilities. The figures are those of unhurried adults: choice reactions take 0.5 to 1
+/// s when an image has to be understood first, and hands at rest drift by a few tenths of a
+/// millimeter, here at 1.1 to 2.9 Hz. Tremor proper, at 8 to 12 Hz, is not simulated.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Skill {
-    /// From a request to the beginning of the movement, in seconds; and its standard deviation.
+    /// Time from a request to the beginning of the movement, in seconds; and its standard
+    /// deviation.
     pub reaction_s: [f64; 2],
-    /// How fast the board is carried, in its own distances a second.
+    /// The speed of the board, in its own distances per second.
     pub speed_per_s: f64,
-    /// How fast it is rotated, in radians a second.
+    /// The angular speed of the board, in radians per second.
     pub rotation_rad_per_s: f64,
-    /// How far the end of a movement is off: relative to the distance, and in radians.
+    /// The error of a movement's end: relative to the distance, and in radians.
     pub aim: [f64; 2],
-    /// How far a hand trembles, in meters and in radians.
+    /// The amplitude of the hands' drift, in meters and in radians.
     pub tremor: [f64; 2],
     /// The part of the requests that are misunderstood.
     pub misunderstood: f64,
-    /// How long the board is held at a place before something else is tried, in seconds.
+    /// How long the board is held at a place before the person tries something else, in seconds.
     pub patience_s: f64,
 }
 
@@ -97,7 +98,7 @@ pub struct Operator {
     time_s: f64,
     at: Middle,
     aim: Middle,
-    /// When the present aim was arrived at.
+    /// When the present aim was reached.
     arrived_s: Option<f64>,
     /// The next aim, and when the movement to it begins.
     next: Option<(f64, Middle)>,
@@ -112,12 +113,12 @@ struct Middle {
     place: Vector3<f64>,
 }
 
-/// No hand holds a board flatter than this to the line of sight, in radians, without being asked.
+/// The largest tilt at which the person holds a board without a request, in radians.
 const OWN_TILT: f64 = 0.6;
 
 impl Operator {
-    /// The person of `seed` with `board`, before a camera whose image spans `half_view` (the
-    /// tangents of half its angles, across and down; 1.2 at most).
+    /// The person of `seed` with `board`, in front of a camera whose image spans `half_view` (the
+    /// tangents of its half angles, horizontal and vertical; at most 1.2).
     pub fn new(seed: u64, kind: OperatorKind, board: &Chessboard, half_view: [f64; 2]) -> Self {
         let extent = [board.size.cols, board.size.rows]
             .map(|count| (f64::from(count) - 1.0) * board.square_m);
@@ -144,7 +145,7 @@ impl Operator {
         }
     }
 
-    /// As [`Self::new`], before a camera with this lens and images of `size`.
+    /// Like [`Self::new`], in front of a camera with this lens and images of `size`.
     pub fn before(
         seed: u64,
         kind: OperatorKind,
@@ -161,7 +162,7 @@ impl Operator {
         Self::new(seed, kind, board, half_view)
     }
 
-    /// Shows the person where the board is asked for now.
+    /// Shows the person the requested pose of the board.
     pub fn ask(&mut self, camera_from_board: Option<&Pose>) {
         if self.kind != OperatorKind::Follows || camera_from_board.copied() == self.asked_from_board
         {
@@ -172,7 +173,7 @@ impl Operator {
         self.plan(misunderstood);
     }
 
-    /// Lets `seconds` pass; where the board is then.
+    /// Advances by `seconds`. Returns the pose of the board then.
     pub fn step(&mut self, seconds: f64) -> Pose {
         self.time_s += seconds;
         match self.next {
@@ -218,7 +219,7 @@ impl Operator {
         self.next = Some((self.time_s + reaction_s, self.aimed(aim)));
     }
 
-    /// What a request is taken for: as it is, or with its tilt or its place the wrong way round.
+    /// How a request is understood: correctly, or with the tilt or the place mirrored.
     fn understood(&mut self, asked_from_board: &Pose, misunderstood: bool) -> Middle {
         let place = (*asked_from_board * Point3::from(self.middle)).coords;
         let rotation = asked_from_board.rotation();
@@ -228,7 +229,7 @@ impl Operator {
         if self.rng.random_bool(0.5) {
             return Middle { rotation, place: Vector3::new(-place.x, place.y, place.z) };
         }
-        // The tilt the other way: the rotation in the image stays.
+        // The opposite tilt, with the same rotation in the image.
         let normal = rotation * Vector3::z();
         let upright = UnitQuaternion::rotation_between(&normal, &Vector3::z())
             .unwrap_or_else(UnitQuaternion::identity);
@@ -244,7 +245,7 @@ impl Operator {
         self.middle_at([across, down], distance, [tilt * azimuth.cos(), tilt * azimuth.sin(), roll])
     }
 
-    /// The bars X, Y, size and skew, each from end to end.
+    /// The bars X, Y, size and skew in sequence, each from end to end.
     fn next_bar(&mut self) -> Middle {
         let step = self.places % 16;
         let end = [-0.75, -0.25, 0.25, 0.75][(step % 4) as usize];
@@ -261,8 +262,8 @@ impl Operator {
         self.middle_at(at, self.distance_m * distance, rotation)
     }
 
-    /// `at` is the part of the way from the middle of the image to its edge that the board's middle
-    /// may go without leaving it.
+    /// `at` is the position of the board's middle, relative to the farthest position from the
+    /// middle of the image at which the board does not leave it.
     fn middle_at(&self, at: [f64; 2], distance: f64, rotation: [f64; 3]) -> Middle {
         let room = [0, 1].map(|k| {
             let half_board = self.middle[k] / distance;
@@ -277,7 +278,7 @@ impl Operator {
         Middle { rotation, place }
     }
 
-    /// A movement ends near where it was aimed at.
+    /// A movement ends near its aim.
     fn aimed(&mut self, aim: Middle) -> Middle {
         let [place, rotation] = self.skill.aim;
         let off = Vector3::from_fn(|_, _| self.normal()) * (place * aim.place.norm());

@@ -1,27 +1,27 @@
-//! The rays of the corners of a sensor's sub-pixels: one table a lens, made once.
+//! The rays of the corners of a sensor's pixels: one table for each lens, computed once.
 
 use nalgebra::Vector3;
 
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::{ImageSize, Pixel};
 
-/// Sub-pixels along a side of a pixel. Light is integrated exactly over each and then taken to lie
-/// at its middle: with four, an edge is within about 0.0005 px of where it is.
+/// Sub-pixels along a side of a pixel. Light is integrated exactly over each, and then taken to be
+/// at its middle: with four, the error of an edge's position is about 0.0005 px.
 pub(super) const SUBPIXELS: usize = 4;
 
 /// The rays through the corners of all pixels of an image and of `pad` pixels around it.
 ///
-/// Inside a pixel they are taken as bilinear: the strongest distortion moves them by some 1e-4 px
-/// there.
+/// Inside a pixel, rays are interpolated bilinearly: with the strongest distortion, the error is
+/// some 1e-4 px.
 #[derive(Debug, Clone)]
 pub(super) struct RayTable {
     /// Pixels along x, the pad included.
     pub columns: usize,
     /// Pixels along y, the pad included.
     pub rows: usize,
-    /// Pixels around the image that light can reach it from.
+    /// Pixels around the image whose light reaches it through the blur.
     pub pad: usize,
-    /// (columns + 1) · (rows + 1) unit directions; NaN where the lens sees nothing.
+    /// (columns + 1) · (rows + 1) unit directions; NaN where the lens has no ray.
     nodes: Vec<Vector3<f64>>,
 }
 
@@ -38,8 +38,8 @@ impl RayTable {
         Self { columns, rows, pad, nodes }
     }
 
-    /// The rays through the upper corners of pixel row `row`; those of `rows` are the lower corners
-    /// of the last.
+    /// The rays through the upper corners of pixel row `row`; row `rows` has the lower corners of
+    /// the last pixel row.
     pub(super) fn node_row(&self, row: usize) -> &[Vector3<f64>] {
         let width = self.columns + 1;
         &self.nodes[row * width..(row + 1) * width]

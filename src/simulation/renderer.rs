@@ -1,4 +1,4 @@
-//! From a board's poses during an exposure to the light on a sensor's pixels.
+//! From the board's poses during an exposure to the light on a sensor's pixels.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -10,7 +10,7 @@ use crate::simulation::image_sensor::ImageSensor;
 use crate::simulation::light_filter::LightFilter;
 use crate::simulation::rays::{RayTable, SUBPIXELS};
 
-/// Renders one sensor's view of the board before a background that does not move.
+/// Renders one sensor's view of the board in front of a static background.
 #[derive(Debug, Clone)]
 pub struct Renderer {
     sensor: ImageSensor,
@@ -20,7 +20,7 @@ pub struct Renderer {
     /// Light of the background on each sub-pixel, and on each pixel.
     background: Vec<f32>,
     background_on_pixels: Vec<f32>,
-    /// Light of the scene on each sub-pixel; the background's wherever no board was drawn.
+    /// Light of the scene on each sub-pixel; that of the background wherever no board was drawn.
     scene: Vec<f32>,
 }
 
@@ -32,7 +32,7 @@ struct Area {
 }
 
 impl Renderer {
-    /// For `sensor`, which sees `pattern` before `background`.
+    /// A renderer for `sensor`, which sees `pattern` in front of `background`.
     pub fn new(sensor: ImageSensor, pattern: BoardPattern, background: &Background) -> Self {
         let filter = LightFilter::new(sensor.blur_px);
         let rays = RayTable::new(&sensor.lens, sensor.size, filter.reach);
@@ -71,7 +71,7 @@ impl Renderer {
         &self.pattern
     }
 
-    /// Light on each pixel, row by row, for a board that stood at each of the poses
+    /// Light on each pixel, row by row, for a board that was at each of the poses
     /// `camera_from_board` for an equal part of the exposure.
     pub fn light(&mut self, camera_from_board: &[Pose]) -> Vec<f32> {
         let mut light = self.background_on_pixels.clone();
@@ -93,8 +93,8 @@ impl Renderer {
         light
     }
 
-    /// How far the board's image moves between two poses at most, in pixels; infinite when it
-    /// leaves the lens's view.
+    /// The largest motion of the board's image between two poses, in pixels; infinite if it leaves
+    /// the lens's view.
     pub fn motion_px(&self, camera_from_board: [&Pose; 2]) -> f64 {
         let [left, right, top, bottom] = self.pattern.edges_in_squares();
         let seen =
@@ -117,7 +117,7 @@ impl Renderer {
         self.sensor.lens.pixel_from_point(&point_in_camera)
     }
 
-    /// The padded pixels that the board may touch: all of them when part of its edge is out of the
+    /// The padded pixels that the board may cover: all of them if part of its edge is outside the
     /// lens's view.
     fn board_area(&self, camera_from_board: &Pose) -> Area {
         const STEPS: usize = 24;
@@ -136,7 +136,7 @@ impl Renderer {
                 high = [high[0].max(at[0]), high[1].max(at[1])];
             }
         }
-        // A bent edge bulges between the sampled points, by far less than this.
+        // The image of an edge may be curved between the samples; the error is far less than this.
         let margin = 1.0 + 0.02 * (high[0] - low[0]).max(high[1] - low[1]);
         let range = |low: f64, high: f64, end: usize| {
             let clamped = |value: f64| value.clamp(0.0, end as f64) as usize;
@@ -148,7 +148,7 @@ impl Renderer {
         }
     }
 
-    /// Puts the board into the scene for `share` of the exposure.
+    /// Adds the board to the scene for `share` of the exposure.
     fn add_board(&mut self, camera_from_board: &Pose, area: Area, share: f32) {
         let squares_from_ray = self.squares_from_ray(camera_from_board);
         let lit = self.illumination(camera_from_board) as f32 * share;
@@ -170,7 +170,7 @@ impl Renderer {
         }
     }
 
-    /// Puts the same light on all of a pixel, for `share` of the exposure.
+    /// Adds the same light to all of a pixel, for `share` of the exposure.
     fn add_even_pixel(&mut self, [x, y]: [usize; 2], light: f32, share: f32) {
         for row in y * SUBPIXELS..(y + 1) * SUBPIXELS {
             let start = (row * self.rays.columns + x) * SUBPIXELS;
@@ -181,7 +181,7 @@ impl Renderer {
         }
     }
 
-    /// Puts the pattern on a pixel with these `corners`, in homogeneous board coordinates.
+    /// Adds the pattern to a pixel with these `corners`, in homogeneous board coordinates.
     fn add_uneven_pixel(
         &mut self,
         [x, y]: [usize; 2],
@@ -206,8 +206,8 @@ impl Renderer {
         }
     }
 
-    /// Maps a ray to homogeneous board coordinates in squares; the third is positive before the
-    /// camera.
+    /// Maps a ray to homogeneous board coordinates in squares; the third is positive in front of
+    /// the camera.
     fn squares_from_ray(&self, camera_from_board: &Pose) -> Matrix3<f64> {
         let rotation = camera_from_board.rotation_matrix();
         let side = self.pattern.board.square_m;
@@ -219,7 +219,8 @@ impl Renderer {
         plane.try_inverse().unwrap_or_else(|| Matrix3::repeat(f64::NAN))
     }
 
-    /// Light on the board: part from all around, part from a lamp above and left of the camera.
+    /// Light on the board: part of it ambient, part from a lamp above and to the left of the
+    /// camera.
     fn illumination(&self, camera_from_board: &Pose) -> f64 {
         let toward_lamp = Vector3::new(-0.35, -0.5, -1.0).normalize();
         let toward_viewer = -(*camera_from_board * Vector3::z());
@@ -230,7 +231,7 @@ impl Renderer {
         Area { x: [0, self.rays.columns], y: [0, self.rays.rows] }
     }
 
-    /// Filters the scene onto the pixels that light from the padded pixels of `from` reaches.
+    /// Filters the scene onto all pixels that receive light from the padded pixels of `from`.
     fn filter_area(&self, from: Area, light: &mut [f32]) {
         let reached = |[low, high]: [usize; 2], end: u32| {
             low.saturating_sub(2 * self.rays.pad).min(end as usize)..high.min(end as usize)

@@ -1,4 +1,4 @@
-//! A camera with color, infrared and depth before a board that is carried about.
+//! A camera with color, infrared and depth sensors, and a board that is moved in front of it.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use rand::RngExt;
@@ -22,19 +22,19 @@ use crate::simulation::world::{FrameTruth, World, WorldOptions, exposed};
 /// What is simulated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RgbdOptions {
-    /// The color camera, the board and how it is carried.
+    /// The color camera, the board and its motion.
     pub color: WorldOptions,
     /// The infrared camera: its lens and size are the depth camera's.
     pub infrared: ImageSensor,
     /// The depth camera.
     pub depth: SimulatedDepthSensor,
-    /// Where the depth and infrared camera is.
+    /// The pose of the depth and infrared camera.
     pub color_from_depth: Pose,
     /// By how much infrared and depth are taken later than the color image they come with, in
     /// seconds.
     pub time_offset_s: f64,
-    /// The wall behind the board in the depth camera's frame: its distance on the axis in meters,
-    /// its slopes against x and y.
+    /// The wall behind the board in the depth camera's frame: its distance along the optical axis
+    /// in meters, and its slopes in x and y.
     pub wall: [f64; 3],
 }
 
@@ -43,7 +43,7 @@ impl RgbdOptions {
     /// degree, 640 × 480, with an error of some per cent; lens, pose and error follow from the
     /// seed.
     pub fn new(color: WorldOptions) -> Self {
-        // Each camera of a rig is another device.
+        // Each camera of a rig has a depth device of its own.
         let number = color.seat.map_or(0, |seat| u64::from(seat.number));
         let mut rng = stream(color.seed, Purpose::Rig, number);
         let size = ImageSize::new(640, 480);
@@ -109,7 +109,7 @@ impl RgbdOptions {
     }
 }
 
-/// Images that come together.
+/// The images of one frame set.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RgbdFrame {
     /// The color camera's, gray.
@@ -118,13 +118,13 @@ pub struct RgbdFrame {
     pub infrared: GrayImage,
     /// The depth camera's.
     pub depth: DepthImage,
-    /// What is true of the color image.
+    /// The ground truth of the color image.
     pub truth: FrameTruth,
-    /// Where the board was in the middle of the infrared image's exposure.
+    /// The pose of the board in the middle of the infrared image's exposure.
     pub infrared_from_board: Pose,
 }
 
-/// A simulated camera with three sensors: any frame of its walk, from its number alone.
+/// A simulated camera with three sensors: every frame is computed from its number alone.
 #[derive(Debug, Clone)]
 pub struct RgbdWorld {
     options: RgbdOptions,
@@ -153,8 +153,8 @@ impl RgbdWorld {
 
     /// The `index`-th images.
     pub fn frame(&mut self, index: u64) -> RgbdFrame {
-        // The infrared image's noise is another than the color image's, and each camera's its own:
-        // a rig's cameras have numbers below 8, which begin at bit 40.
+        // The infrared image's noise differs from the color image's, and from that of the other
+        // cameras: a rig's cameras have numbers below 8, which begin at bit 40.
         const INFRARED: [u64; 2] = [1 << 40, 1 << 50];
         let number = self.options.color.seat.map_or(0, |seat| u64::from(seat.number));
         let infrared_index = INFRARED[usize::from(number > 0)] + (number << 40) + index;

@@ -1,4 +1,4 @@
-//! Where a camera of a simulated rig is.
+//! The pose of a camera in a simulated rig.
 
 use nalgebra::Vector3;
 use rand::RngExt;
@@ -7,24 +7,25 @@ use crate::geometry::lens::Lens;
 use crate::geometry::pose::Pose;
 use crate::simulation::noise::{Purpose, stream};
 
-/// A camera of a simulated rig beside the first one, before which the board is carried about.
+/// A camera of a simulated rig beside the first one, in front of which the board is moved.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Seat {
-    /// Counts the rig's cameras; the first is 0. Each has noise of its own.
+    /// The camera's number in the rig; the first is 0. Each has noise of its own.
     pub number: u32,
-    /// Where it is.
+    /// Its pose.
     pub camera_from_first: Pose,
-    /// The first camera's lens, which the walk is planned for.
+    /// The first camera's lens, for which the board's walk is planned.
     pub first_lens: Lens,
 }
 
-/// From one camera to the next, in meters, and by how much each is rotated further in, in radians.
+/// The distance from one camera to the next, in meters, and how much further each is rotated
+/// inward, in radians.
 const STEP_M: f64 = 0.12;
 const TOE_IN: f64 = 0.1;
 
 impl Seat {
     /// The `number`-th camera of the rig of `seed`: 12 cm to the right of the one before and
-    /// rotated inward by 6°, both only about.
+    /// rotated inward by 6°, both approximately.
     pub fn on_rig(seed: u64, number: u32, first_lens: Lens) -> Self {
         let mut rng = stream(seed, Purpose::Seat, u64::from(number));
         let mut about = |spread: f64| Vector3::from_fn(|_, _| rng.random_range(-spread..spread));

@@ -1,4 +1,4 @@
-//! A depth camera beside the camera that is carried through a textured world.
+//! A depth camera beside the camera that moves through a textured world.
 
 use nalgebra::Point3;
 
@@ -16,19 +16,19 @@ pub struct TexturedDepth {
 }
 
 impl TexturedDepth {
-    /// One that is at `color_from_depth`.
+    /// A depth camera at `color_from_depth`.
     pub fn new(sensor: SimulatedDepthSensor, color_from_depth: Pose) -> Self {
         Self { renderer: DepthRenderer::new(sensor), color_from_depth }
     }
 
-    /// What it measures of `world` while the `index`-th image is taken.
+    /// The depth image of `world` at the time of the `index`-th image.
     pub fn image(&self, world: &TexturedWorld, index: usize) -> DepthImage {
         let world_from_depth = world.camera_from_world(index).inverse() * self.color_from_depth;
         let origin = Point3::from(world_from_depth.translation());
         let rotation = world_from_depth.rotation_matrix();
         let solids = world.solids(index);
         let seen = self.renderer.rays().map(|ray| {
-            // The ray's z is 1: the multiple of it that reaches the face is the depth.
+            // The ray has z = 1, so the factor at which it reaches the face is the depth.
             let face = ray.and_then(|ray| nearest_face(&solids, &origin, &(rotation * ray)));
             face.map_or((0.0, 0), |face| (1.0 / face.along, face.solid()))
         });

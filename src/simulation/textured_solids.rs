@@ -1,34 +1,34 @@
-//! Textured boxes, and what a ray sees of them.
+//! Textured boxes, and their intersections with rays.
 
 use nalgebra::{Point3, Vector3};
 
-/// A box along the axes whose faces carry a texture of their own.
+/// An axis-aligned box; each of its faces has its own texture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct TexturedBox {
     pub center: Point3<f64>,
-    /// Half its lengths.
+    /// Half of its edge lengths.
     pub half: Vector3<f64>,
-    /// Which texture.
+    /// The seed of its textures.
     pub salt: u64,
     /// Whether it is seen from inside, as a room is.
     pub is_room: bool,
 }
 
-/// Where a ray meets a face.
+/// The intersection of a ray with a face.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FaceHit {
-    /// How many times the ray's direction.
+    /// The factor of the ray's direction at the intersection.
     pub along: f64,
     /// Coordinates on the face.
     at: [f64; 2],
     salt: u64,
-    /// How much longer a pixel is on the face than across the ray.
+    /// The length of a pixel's footprint on the face, relative to that across the ray.
     slant: f64,
 }
 
 impl TexturedBox {
-    /// How far along the ray from `origin` it meets it first, in lengths of the ray's direction,
-    /// whose coordinates' inverses these are; with the axis across the face.
+    /// The first intersection with the ray from `origin`, as a factor of the ray's direction, and
+    /// the axis normal to the face. `inverse` has the inverses of the direction's coordinates.
     fn met(&self, origin: &Point3<f64>, inverse: &Vector3<f64>) -> Option<(f64, usize)> {
         let (mut enter, mut leave) = ((f64::NEG_INFINITY, 0), (f64::INFINITY, 0));
         for k in 0..3 {
@@ -69,24 +69,26 @@ pub(super) fn nearest_face(
 }
 
 impl FaceHit {
-    /// The number of the box, from its texture: each has its own.
+    /// The number of the box, derived from the seed of its textures, which is different for each.
     pub fn solid(&self) -> u64 {
         self.salt / 8
     }
 
-    /// The light from there, 0 to 1, as a pixel that is `footprint` wide there sees it: without
-    /// what is finer than the pixel, which would alias.
+    /// The light from there, 0 to 1, for a pixel with this `footprint`: without details finer than
+    /// the pixel, which would alias.
     pub fn light(&self, footprint: f64) -> f64 {
         texture(self.at, self.salt, footprint * self.slant)
     }
 }
 
-/// Waves per length of the coarsest noise of a texture, and how many times finer each next is.
+/// The frequency of the coarsest noise of a texture, in waves per length, and the factor from each
+/// frequency to the next.
 const COARSEST: f64 = 1.3;
 const FINER: f64 = 2.1;
 const OCTAVES: u64 = 8;
 
-/// Noise of several sizes. What is finer than a pixel is left out, as a pixel's area averages it.
+/// Noise of several frequencies. Details finer than a pixel are left out, because a pixel averages
+/// over its area.
 fn texture([u, v]: [f64; 2], salt: u64, footprint: f64) -> f64 {
     let (mut light, mut frequency) = (0.5, COARSEST);
     for octave in 0..OCTAVES {

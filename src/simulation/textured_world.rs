@@ -1,5 +1,5 @@
-//! A textured world without a board, and a camera that is carried through it: what calibration
-//! without a target works on. Everything follows from the seed, and the truth is exact.
+//! A textured world without a board, and a camera that moves through it: the input for calibration
+//! without a target. Everything follows from the seed, and the ground truth is exact.
 
 use nalgebra::{Point3, Rotation3, UnitQuaternion, Vector3};
 use rand::{Rng, RngExt};
@@ -11,7 +11,7 @@ use crate::simulation::image_sensor::ImageSensor;
 use crate::simulation::noise::{Purpose, stream};
 use crate::simulation::textured_solids::{TexturedBox, nearest_face};
 
-/// What stands in the world.
+/// The scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Scenery {
     /// A room with furniture.
@@ -22,21 +22,21 @@ pub enum Scenery {
     Plane,
     /// A long narrow room.
     Corridor,
-    /// Things on the ground before something far away.
+    /// Objects on the ground in front of a far background.
     Garden,
 }
 
-/// How the camera is carried.
+/// The camera's motion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CameraPath {
-    /// Around the middle of the scene, every third image rotated by 90 degrees about the optical
+    /// Around the middle of the scene; every third image is rotated by 90 degrees about the optical
     /// axis.
     Orbit,
-    /// Sideways, upright.
+    /// Sideways, without rotation about the optical axis.
     Sideways,
     /// Along its optical axis.
     Forward,
-    /// It rotates in place, every third image by 90 degrees about the optical axis.
+    /// Pure rotation; every third image by 90 degrees about the optical axis.
     Rotation,
 }
 
@@ -45,7 +45,7 @@ impl Scenery {
     pub const ALL: [Self; 5] =
         [Self::Room, Self::Facade, Self::Plane, Self::Corridor, Self::Garden];
 
-    /// The one of this name.
+    /// The scenery with this name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|scenery| format!("{scenery:?}").eq_ignore_ascii_case(name))
     }
@@ -55,7 +55,7 @@ impl CameraPath {
     /// All of them.
     pub const ALL: [Self; 4] = [Self::Orbit, Self::Sideways, Self::Forward, Self::Rotation];
 
-    /// The one of this name.
+    /// The path with this name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|path| format!("{path:?}").eq_ignore_ascii_case(name))
     }
@@ -64,21 +64,21 @@ impl CameraPath {
 /// What is simulated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TexturedWorldOptions {
-    /// Everything random follows from it.
+    /// The seed of everything random.
     pub seed: u64,
-    /// What stands there.
+    /// The scene.
     pub scenery: Scenery,
-    /// How the camera is carried.
+    /// The camera's motion.
     pub path: CameraPath,
     /// Images along the path.
     pub images: usize,
     /// The camera.
     pub sensor: ImageSensor,
-    /// Whether a box moves about in the scene, in each image elsewhere.
+    /// Whether a box moves in the scene: it is at another place in each image.
     pub has_mover: bool,
 }
 
-/// A world that a camera is carried through: any image of its path, from its number alone.
+/// A world that a camera moves through: every image of its path is computed from its number alone.
 #[derive(Debug, Clone)]
 pub struct TexturedWorld {
     options: TexturedWorldOptions,
@@ -88,7 +88,7 @@ pub struct TexturedWorld {
     rays: Vec<Vector3<f64>>,
 }
 
-/// Light from where nothing is: an even sky.
+/// The light of rays that meet no solid: a uniform sky.
 const SKY: f64 = 0.85;
 
 impl TexturedWorld {
@@ -112,7 +112,7 @@ impl TexturedWorld {
         Self { solids, cameras_from_world, rays, options }
     }
 
-    /// Where the camera truly is in the `index`-th image.
+    /// The true pose of the camera in the `index`-th image.
     pub fn camera_from_world(&self, index: usize) -> Pose {
         self.cameras_from_world[index]
     }
@@ -142,17 +142,17 @@ impl TexturedWorld {
         sensor.develop(&light, self.options.seed, index as u64)
     }
 
-    /// What everything random follows from.
+    /// The seed of everything random.
     pub(super) fn seed(&self) -> u64 {
         self.options.seed
     }
 
-    /// All that is there in the `index`-th image.
+    /// All solids in the `index`-th image.
     pub(super) fn solids(&self, index: usize) -> Vec<TexturedBox> {
         self.solids.iter().copied().chain(self.mover(index)).collect()
     }
 
-    /// What moves about in the scene, where it is in the `index`-th image.
+    /// The moving box, at its place in the `index`-th image.
     fn mover(&self, index: usize) -> Option<TexturedBox> {
         let mut rng = stream(self.options.seed, Purpose::Mover, index as u64);
         let distance = Standpoint::of(self.options.scenery).distance;
@@ -185,11 +185,11 @@ fn blurred(light: &[f32], width: usize, blur_px: f64) -> Vec<f32> {
     along(&along(light, [1, 0]), [0, 1])
 }
 
-/// Where the camera is before the origin of the world, along z; y points down. Meters.
+/// Where the camera stands in front of the origin of the world, along z; y points down. Meters.
 struct Standpoint {
-    /// From the origin.
+    /// Distance from the origin.
     distance: f64,
-    /// How far it can go to each side.
+    /// How far it may move to each side.
     reach: f64,
 }
 
@@ -205,7 +205,7 @@ impl Standpoint {
         Self { distance, reach }
     }
 
-    /// The camera of the `number`-th of `count` images.
+    /// The pose of the camera in the `number`-th of `count` images.
     fn camera(&self, path: CameraPath, number: usize, count: usize, rng: &mut impl Rng) -> Pose {
         let part = 2.0 * number as f64 / (count.max(2) - 1) as f64 - 1.0;
         let mut jitter = |reach: f64| rng.random_range(-reach..reach);
@@ -238,7 +238,7 @@ impl Standpoint {
     }
 }
 
-/// A camera at `center` whose axis is z but for a rotation about y, then x, then its own axis.
+/// A camera at `center` whose axis is z, rotated about y, then x, then its own axis.
 fn camera_at(center: [f64; 3], [pan, tilt, roll]: [f64; 3]) -> Pose {
     let [x, y, z] = [Vector3::x_axis(), Vector3::y_axis(), Vector3::z_axis()];
     let world_from_camera = Rotation3::from_axis_angle(&y, pan)

@@ -1,11 +1,11 @@
-//! How a board that is held in hands drifts.
+//! The drift of a board that is held by hand.
 
 use std::f64::consts::TAU;
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-/// The translation in meters and the rotation at `time_s` of a drift whose axes go as far as
-/// `most_m` and `most_rad`, each in a wave of its own frequency.
+/// The translation in meters and the rotation at `time_s` of a drift whose amplitudes on each axis
+/// are `most_m` and `most_rad`, each a sine wave of its own frequency.
 pub(super) fn tremor(
     time_s: f64,
     [most_m, most_rad]: [f64; 2],

@@ -1,5 +1,5 @@
-//! How the board is carried about: from one place to the next, held still there for a moment, and
-//! on.
+//! The motion of the board: it moves from one place to the next, rests there for a moment, and
+//! moves on.
 
 use std::f64::consts::{PI, TAU};
 
@@ -13,23 +13,23 @@ use crate::simulation::board_pattern::BoardPattern;
 use crate::simulation::noise::{Purpose, stream};
 use crate::simulation::tremor::tremor;
 
-/// How the board is carried.
+/// How the board is moved.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WalkOptions {
-    /// How long it is held still at each place, in seconds; 0.4 unless said.
+    /// How long it rests at each place, in seconds; 0.4 by default.
     pub still_s: f64,
-    /// How long it takes to the next place, in seconds; 0.6 unless said.
+    /// How long it takes to the next place, in seconds; 0.6 by default.
     pub travel_s: f64,
-    /// The largest tilt against the image plane, in radians; 50° unless said.
+    /// The largest tilt relative to the image plane, in radians; 50° by default.
     pub tilt: f64,
-    /// The largest rotation about the optical axis, in radians; 25° unless said.
+    /// The largest rotation about the optical axis, in radians; 25° by default.
     pub roll: f64,
-    /// The card's width over the image's at the farthest and the nearest place; 0.38 and 0.8 unless
-    /// said.
+    /// The card's width relative to the image's, at the farthest and the nearest place; 0.38 and
+    /// 0.8 by default.
     pub width: [f64; 2],
-    /// Part of the places where a part of the board is outside the image; 0 unless said.
+    /// The fraction of places where part of the board is outside the image; 0 by default.
     pub leaving: f64,
-    /// How far a hand trembles, in meters and in radians; 0.1 mm and 0.02° unless said.
+    /// The amplitude of the hands' drift, in meters and in radians; 0.1 mm and 0.02° by default.
     pub tremor: [f64; 2],
 }
 
@@ -47,7 +47,7 @@ impl Default for WalkOptions {
     }
 }
 
-/// A walk of the board before one camera, without end: the pose at any time, from the seed alone.
+/// An endless walk of the board in front of one camera: the pose at any time, from the seed alone.
 #[derive(Debug, Clone)]
 pub struct Walk {
     seed: u64,
@@ -55,12 +55,12 @@ pub struct Walk {
     pattern: BoardPattern,
     lens: Lens,
     size: ImageSize,
-    /// The places on both sides of the time last asked for.
+    /// The places before and after the time requested last.
     near: Option<(u64, [Pose; 2])>,
 }
 
 impl Walk {
-    /// The walk of `seed` before a camera with `lens` and images of `size`.
+    /// The walk of `seed` in front of a camera with `lens` and images of `size`.
     pub fn new(
         seed: u64,
         pattern: BoardPattern,
@@ -71,14 +71,14 @@ impl Walk {
         Self { seed, options: *options, pattern, lens, size, near: None }
     }
 
-    /// Where the board is at `time_s` ≥ 0 seconds, in the camera's frame.
+    /// The pose of the board at `time_s` ≥ 0 seconds, in the camera's frame.
     pub fn camera_from_board(&mut self, time_s: f64) -> Pose {
         let WalkOptions { still_s, travel_s, .. } = self.options;
         let stage = (time_s / (still_s + travel_s)).max(0.0);
         let place = stage.floor() as u64;
         let since_s = (stage - stage.floor()) * (still_s + travel_s);
         let part = ((since_s - still_s) / travel_s).clamp(0.0, 1.0);
-        // Speed rises and falls without a jolt: 3 p² − 2 p³.
+        // A smooth start and stop: 3 p² − 2 p³.
         let part = part * part * (3.0 - 2.0 * part);
         let [from, to] = self.places_around(place);
         let rotation =
@@ -107,7 +107,7 @@ impl Walk {
     /// so that any run of places covers the image and every tilt evenly.
     fn place(&self, index: u64) -> Pose {
         // Roberts' R2 sequence (powers of the plastic number's inverse) for the position; for tilt
-        // and its axis the golden ratio's inverse and √2 − 1, each a sequence of its own.
+        // and its axis the golden ratio's inverse and √2 − 1, one sequence each.
         let spread = |step: f64, start: f64| (start + step * (index as f64 + 1.0)).fract();
         let mut rng = stream(self.seed, Purpose::Waypoint, index);
         let start = (self.seed % 1000) as f64 / 1000.0;
@@ -132,8 +132,8 @@ impl Walk {
         self.placed(rotation, distance, at, jitter_px)
     }
 
-    /// Puts the card so that its bounding box in the image, `jitter_px` inside the edges, lies at
-    /// the part `at` of the room that is left; farther away where there is none.
+    /// Places the card so that its bounding box in the image, `jitter_px` inside the edges, is at
+    /// the fraction `at` of the remaining room; moves it farther away where there is no room.
     fn placed(
         &self,
         rotation: UnitQuaternion<f64>,

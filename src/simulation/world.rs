@@ -1,4 +1,4 @@
-//! A camera, a board that is carried about before it, and the images this gives.
+//! A camera, a board that is moved in front of it, and the resulting images.
 
 use std::sync::Arc;
 
@@ -22,7 +22,7 @@ use crate::simulation::walk::{Walk, WalkOptions};
 /// What is simulated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WorldOptions {
-    /// Everything random follows from it.
+    /// The seed of everything random.
     pub seed: u64,
     /// Frames a second.
     pub fps: f64,
@@ -30,11 +30,11 @@ pub struct WorldOptions {
     pub sensor: ImageSensor,
     /// The board.
     pub board: Chessboard,
-    /// How it is carried.
+    /// The motion of the board.
     pub walk: WalkOptions,
     /// Rectangles on the wall behind it.
     pub clutter: usize,
-    /// Where the camera is, if it is not the one that the board is carried about before.
+    /// Where the camera is, unless it is the one in front of which the board is moved.
     pub seat: Option<Seat>,
 }
 
@@ -70,8 +70,8 @@ impl WorldOptions {
     }
 }
 
-/// A lens as cheap cameras have it: some 60° wide, barrel distortion, a principal point a few
-/// pixels off.
+/// A lens like those of cheap cameras: some 60° wide, with barrel distortion, and a principal point
+/// a few pixels off the image's middle.
 fn ordinary_lens(seed: u64, size: ImageSize) -> Lens {
     let mut rng = stream(seed, Purpose::Lens, 0);
     let width = f64::from(size.width);
@@ -91,17 +91,17 @@ fn ordinary_lens(seed: u64, size: ImageSize) -> Lens {
     Lens { matrix, distortion: Distortion::Brown(brown) }
 }
 
-/// An image with what is true of it.
+/// An image with its ground truth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SimulatedFrame {
-    /// What the sensor gives.
+    /// The sensor's image.
     pub image: GrayImage,
-    /// What is true.
+    /// The ground truth.
     pub truth: FrameTruth,
 }
 
 impl SimulatedFrame {
-    /// What a camera without compression sends: mono8.
+    /// The frames of a camera without compression: mono8.
     pub fn into_frames(self) -> Vec<Frame> {
         let size = self.image.size();
         let (format, stride) = (PixelFormat::Mono8, size.width as usize);
@@ -110,20 +110,20 @@ impl SimulatedFrame {
     }
 }
 
-/// What is true of an image.
+/// The ground truth of an image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrameTruth {
-    /// Counts the images from 0.
+    /// The image's number, from 0.
     pub index: u64,
-    /// The middle of the exposure, in seconds from the first image's.
+    /// The middle of the exposure, in seconds after that of the first image.
     pub time_s: f64,
-    /// Where the board was in the middle of the exposure.
+    /// The pose of the board in the middle of the exposure.
     pub camera_from_board: Pose,
-    /// How far the board's image moved during the exposure at most, in pixels.
+    /// The largest motion of the board's image during the exposure, in pixels.
     pub motion_px: f64,
 }
 
-/// A simulated camera: any image of its walk, from its number alone.
+/// A simulated camera: every image is computed from its number alone.
 #[derive(Debug, Clone)]
 pub struct World {
     seed: u64,
@@ -155,7 +155,7 @@ impl World {
         self.renderer.pattern().board
     }
 
-    /// What is true of the `index`-th image.
+    /// The ground truth of the `index`-th image.
     pub fn truth(&mut self, index: u64) -> FrameTruth {
         let time_s = index as f64 / self.fps;
         let Self { walk, renderer, seat, .. } = self;
@@ -177,8 +177,8 @@ impl World {
         }
     }
 
-    /// The `index`-th image with the board carried by someone: from one pose to the other in the
-    /// time of a frame, and on in the same way while the shutter is open.
+    /// The `index`-th image of a board that moves from one pose to the other in the time of a
+    /// frame, and goes on in the same way while the shutter is open.
     pub fn frame_carried(&mut self, index: u64, [before, now]: [Pose; 2]) -> SimulatedFrame {
         let time_s = index as f64 / self.fps;
         let (fps, seat) = (self.fps, self.seat);
@@ -198,18 +198,18 @@ impl World {
         }
     }
 
-    /// No two cameras of a rig draw the same noise.
+    /// The number of an image for its noise: no two cameras of a rig have the same.
     fn image_number(&self, index: u64) -> u64 {
         index + self.seat.map_or(0, |seat| u64::from(seat.number) << 40)
     }
 
-    /// Where the board is at a time, before this camera.
+    /// The pose of the board at a time, in this camera's frame.
     pub(super) fn camera_from_board(&mut self, time_s: f64) -> Pose {
         seen_from(self.seat, self.walk.camera_from_board(time_s))
     }
 
-    /// Where the board's inner corners are in an image, row by row; `None` for those outside the
-    /// lens's view.
+    /// The pixels of the board's inner corners in an image, row by row; `None` for corners outside
+    /// the lens's view.
     pub fn corners(&self, truth: &FrameTruth) -> Vec<Option<Pixel>> {
         let corners = self.board().corners_in_board();
         let lens = &self.sensor().lens;
@@ -220,7 +220,7 @@ impl World {
     }
 }
 
-/// Where a camera in `seat` sees a board that the first camera sees at `first_from_board`.
+/// The pose in a camera in `seat` of a board that is at `first_from_board` in the first camera.
 fn seen_from(seat: Option<Seat>, first_from_board: Pose) -> Pose {
     seat.map_or(first_from_board, |seat| seat.camera_from_first * first_from_board)
 }
@@ -230,13 +230,13 @@ fn seen_from(seat: Option<Seat>, first_from_board: Pose) -> Pose {
 pub(super) struct Exposure {
     /// Light on each pixel.
     pub light: Vec<f32>,
-    /// Where the board was in the middle.
+    /// The pose of the board in the middle of the exposure.
     pub camera_from_board: Pose,
-    /// How far its image moved at most.
+    /// The largest motion of the board's image.
     pub motion_px: f64,
 }
 
-/// Opens the shutter at `start_s` before a board that is at `camera_from_board`(time).
+/// Exposes from `start_s` on, with the board at `camera_from_board`(time).
 pub(super) fn exposed(
     renderer: &mut Renderer,
     start_s: f64,
@@ -256,8 +256,8 @@ pub(super) fn exposed(
     }
 }
 
-/// The board's pose in the middle of the exposure that begins at `start_s`, and how far its image
-/// moves meanwhile.
+/// The board's pose in the middle of the exposure that begins at `start_s`, and the largest motion
+/// of its image during the exposure.
 fn motion(
     renderer: &Renderer,
     start_s: f64,
