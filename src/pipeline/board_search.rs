@@ -151,9 +151,10 @@ impl BoardSearch {
         };
         let (image, options) = (self.luma.view(), DetectOptions::default());
         Ok(match manner {
-            SearchManner::Whole => {
-                TrackedBoard { detection: finder.find(image, &options)?, followed: false }
-            }
+            SearchManner::Whole => TrackedBoard {
+                detection: finder.find_in_sequence(image, &options)?,
+                followed: false,
+            },
             SearchManner::Tracked => finder.track(image, &options)?,
         })
     }

@@ -17,6 +17,7 @@ mod estimation;
 mod fisheye_boards;
 mod lens_choice;
 mod misfit;
+mod named_boards;
 mod nearly_equal_views;
 #[path = "../system/not_tested.rs"]
 mod not_tested;

@@ -31,7 +31,7 @@ pub fn search(
     detector.find_board(decoded(path).view(), &DetectOptions { allow_partial })
 }
 
-fn decoded(path: &Path) -> GrayImage {
+pub fn decoded(path: &Path) -> GrayImage {
     let mut image = GrayImage::default();
     luma(&frame_from_file(SensorKind::Color, std::fs::read(path).unwrap()), &mut image).unwrap();
     image

@@ -27,7 +27,7 @@ const SPACINGS: [f64; 4] = [0.3, 0.25, 0.2, 0.36];
 /// Sides of markers, in parts of a square's, at which payloads are sampled.
 const RATIOS: [f32; 6] = [0.5, 0.6, 0.67, 0.75, 0.82, 0.9];
 /// Lattices of fewer crossings are not read.
-const LEAST_CROSSINGS: usize = 9;
+pub const LEAST_CROSSINGS: usize = 9;
 /// Readings of a lattice that are followed up, those with most markers first: it bounds the time.
 const MOST_READINGS: usize = 3;
 
