@@ -135,7 +135,7 @@ pub enum NoBoard {
     },
     /// A board, but not this one.
     #[error(
-        "a {cols}x{rows} board is seen, not {board}; count the inner corners, or give the size that is seen"
+        "a board of {cols}x{rows} is seen, not {board}; count the inner corners, or give the size that is seen"
     )]
     OtherSize {
         /// Corners along the longer side of the detected board.

@@ -102,7 +102,7 @@ fn a_board_of_another_size_is_named_with_its_size() {
     let other = Straight { corners: (7, 5), ..Straight::new(24.0) };
     let reason = reason(&other);
     assert_eq!(reason, NoBoard::OtherSize { cols: 7, rows: 5, board: BOARD });
-    assert!(reason.to_string().starts_with("a 7x5 board is seen, not 9x6"), "{reason}");
+    assert!(reason.to_string().starts_with("a board of 7x5 is seen, not 9x6"), "{reason}");
 }
 
 #[test]

@@ -68,7 +68,7 @@ fn detect_says_why_there_is_no_board() {
         (
             "other",
             Straight { corners: (7, 5), ..Straight::WHOLE },
-            Some("a 7x5 board is seen, not 9x6"),
+            Some("a board of 7x5 is seen, not 9x6"),
         ),
         ("cut", Straight { origin: (-60.0, 36.2), ..Straight::WHOLE }, Some("cut off")),
     ];
@@ -114,7 +114,7 @@ fn a_session_counts_and_reports_each_reason_by_its_own_name() {
         (
             "other_size",
             Straight { corners: (7, 5), ..Straight::WHOLE },
-            "a 7x5 board is seen, not 9x6",
+            "a board of 7x5 is seen, not 9x6",
         ),
         (
             "no_corners",

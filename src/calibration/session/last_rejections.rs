@@ -48,7 +48,10 @@ mod tests {
         // As after a restart.
         assert_eq!(LastRejections::default().why_most(&rejected, 3), None);
         let why = last.why_most(&rejected, 3).unwrap();
-        assert!(why.starts_with("2 of 3 frames: no board: a 9x6 board is seen, not 9x7"), "{why}");
+        assert!(
+            why.starts_with("2 of 3 frames: no board: a board of 9x6 is seen, not 9x7"),
+            "{why}"
+        );
         for _ in 0..3 {
             rejected.count(&Rejection::TooSimilar { view: 0 });
         }

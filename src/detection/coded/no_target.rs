@@ -56,7 +56,9 @@ pub enum NoTarget {
         target: String,
     },
     /// Another board with markers was recognized.
-    #[error("a {seen} is seen, not the {target}: give the target that is seen, or show the other")]
+    #[error(
+        "another board than the {target} is seen: {seen}; give the target that is seen, or show the other"
+    )]
     Recognized {
         /// What is seen.
         seen: String,
