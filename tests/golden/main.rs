@@ -6,6 +6,7 @@
 mod allocations;
 mod bad_views;
 mod board_border;
+mod boards_on_floors;
 mod coded_motion;
 mod coded_targets;
 mod coded_tracking;

@@ -3,6 +3,7 @@
 
 use crate::detection::coded::answer::TargetDetection;
 use crate::detection::coded::chart::ChartPair;
+use crate::detection::coded::floor_limits::FloorLimits;
 use crate::detection::coded::held_crossing::HeldCrossing;
 use crate::detection::coded::labels::{BoardLabel, BoardLabels};
 use crate::detection::coded::last_target::LastTarget;
@@ -12,7 +13,7 @@ use crate::detection::coded::no_target::NoTarget;
 use crate::detection::coded::order::by_reach;
 use crate::detection::coded::reading::MarkerReading;
 use crate::detection::coded::sheet::Sheets;
-use crate::detection::grid::{Grid, LARGEST_RADIUS, Node};
+use crate::detection::grid::{Grid, Node};
 use crate::detection::measure::Probe;
 use crate::detection::measure::cross::Vec2;
 use crate::detection::refine::{GridCorner, RefinedCorner, Refiner};
@@ -45,7 +46,7 @@ pub struct TargetDetector {
     /// Squares of three candidates that were measured on this level.
     pub(super) open_squares: usize,
     /// Candidates in the order in which they are started from, and how far their squares reach.
-    order: Vec<(usize, usize)>,
+    pub(super) order: Vec<(usize, usize)>,
     pub(super) pairs: Vec<ChartPair>,
     pub(super) growth: LatticeGrowth,
     pub(super) grid: Grid,
@@ -94,9 +95,13 @@ impl LatticeSearch {
 pub(super) struct Unlabeled {
     candidates: usize,
     lattice: (usize, u32, u32),
+    /// This lattice was not grown to its end.
+    goes_on: bool,
     elsewhere: usize,
     undecided: usize,
     mirrored: usize,
+    /// Floors whose cells were read.
+    floors_read: usize,
 }
 
 impl TargetDetector {
@@ -169,6 +174,7 @@ impl TargetDetector {
         }
         let coarsest = coarsest_level(image.size(), 1);
         self.pyramid.build(image, 0);
+        self.growth.places = 0;
         let mut seen = Unlabeled::default();
         for level in self.levels(image, coarsest) {
             let search = LatticeSearch::Boards;
@@ -189,50 +195,12 @@ impl TargetDetector {
             .ok_or_else(|| self.reason(&seen))
     }
 
-    /// What `of` makes of the largest lattice of a level, on the first level on which that is
-    /// something; lattices of fewer than `least` crossings are left out.
-    pub(super) fn find_map_lattice<T>(
-        &mut self,
-        image: GrayView<'_>,
-        least: usize,
-        mut of: impl FnMut(GrayView<'_>, &Sheets, &Grid) -> Option<T>,
-    ) -> Option<T> {
-        let coarsest = coarsest_level(image.size(), 1);
-        self.pyramid.build(image, coarsest);
-        let mut largest = Grid::default();
-        for level in self.levels(image, coarsest) {
-            let pyramid = std::mem::take(&mut self.pyramid);
-            let view = pyramid.level(image, level);
-            self.prepare(view, &mut Unlabeled::default());
-            largest.clear(LARGEST_RADIUS, true);
-            let mut starts = 0;
-            for place in 0..self.order.len() {
-                let first = self.order[place].1;
-                if starts == self.thresholds.lattice.most_starts {
-                    break;
-                }
-                if self.used[first] || !self.start(view, LatticeSearch::Boards, first) {
-                    continue;
-                }
-                starts += 1;
-                self.spend();
-                if self.grid.members.len() > largest.members.len() {
-                    std::mem::swap(&mut largest, &mut self.grid);
-                }
-            }
-            let found = (largest.members.len() >= least)
-                .then(|| of(view, &self.sheets, &largest))
-                .flatten();
-            self.pyramid = pyramid;
-            if found.is_some() {
-                return found;
-            }
-        }
-        None
-    }
-
     /// The levels in the order in which they are searched: large images at half their size first.
-    fn levels(&self, image: GrayView<'_>, coarsest: usize) -> impl Iterator<Item = usize> + use<> {
+    pub(super) fn levels(
+        &self,
+        image: GrayView<'_>,
+        coarsest: usize,
+    ) -> impl Iterator<Item = usize> + use<> {
         let limits = self.thresholds.lattice;
         let (shorter, longer) =
             (image.width().min(image.height()), image.width().max(image.height()));
@@ -292,25 +260,44 @@ impl TargetDetector {
         seen: &mut Unlabeled,
     ) -> Option<BoardLabel> {
         let limits = self.thresholds.lattice;
-        let (mut starts, mut read) = (0, 0);
+        let floor = FloorLimits::in_search_of(&self.sheets);
+        let (mut starts, mut read, mut floor_places) = (0, 0, 0);
         for place in 0..self.order.len() {
             let first = self.order[place].1;
-            if starts == limits.most_starts || read == limits.most_read {
+            let is_over = starts == limits.most_starts || read == limits.most_read;
+            if is_over || floor_places > floor.most_places {
                 break;
             }
-            if self.used[first] || !self.start(view, search, first) {
+            let before = self.growth.places;
+            if self.used[first] || !self.start(view, search, (first, floor.least_crossings)) {
                 continue;
             }
-            starts += 1;
-            self.spend();
+            let is_floor = self.grid.members.len() > floor.least_crossings;
+            if is_floor {
+                floor_places += self.growth.places - before;
+                let is_read = seen.floors_read < floor.most_read;
+                if is_read {
+                    seen.floors_read += 1;
+                    self.grow_further(view, floor.most_named);
+                }
+                self.spend();
+                self.spend_around();
+                if !is_read {
+                    continue;
+                }
+            } else {
+                self.spend();
+                starts += 1;
+                if self.grid.members.len() < search.least_crossings(&limits) {
+                    continue;
+                }
+                read += 1;
+            }
             let count = self.grid.members.len();
-            if count < search.least_crossings(&limits) {
-                continue;
-            }
-            read += 1;
             if let Some(bounds) = self.grid.bounds().filter(|_| count > seen.lattice.0) {
                 let (a, b) = (bounds.width() as u32, bounds.height() as u32);
                 seen.lattice = (count, a.max(b), a.min(b));
+                seen.goes_on = is_floor && count > floor.most_named;
             }
             match self.label(view, None) {
                 BoardLabels::One(label) => {
@@ -319,6 +306,8 @@ impl TargetDetector {
                 }
                 BoardLabels::Elsewhere(markers) => seen.elsewhere = seen.elsewhere.max(markers),
                 BoardLabels::Two(first, _) => seen.undecided = seen.undecided.max(first.markers),
+                // A mirror does not turn a floor into the target.
+                BoardLabels::None if is_floor => {}
                 BoardLabels::None => {
                     seen.mirrored = seen.mirrored.max(self.mirrored_markers(view));
                 }
@@ -339,8 +328,14 @@ impl TargetDetector {
         }
     }
 
-    /// Grows a lattice from the square at candidate `first` into `grid`; false if there is none.
-    fn start(&mut self, view: GrayView<'_>, search: LatticeSearch, first: usize) -> bool {
+    /// Grows a lattice of up to `most_crossings` from the square at candidate `first` into `grid`;
+    /// false if there is none.
+    pub(super) fn start(
+        &mut self,
+        view: GrayView<'_>,
+        search: LatticeSearch,
+        (first, most_crossings): (usize, usize),
+    ) -> bool {
         let candidates = &self.candidates.found;
         let longer = view.width().max(view.height()) as f32;
         let reach = match search {
@@ -361,12 +356,12 @@ impl TargetDetector {
             sheets: &self.sheets,
             thresholds: &self.thresholds.lattice,
         };
-        self.growth.start(scene, &seed, &mut self.grid, &mut self.spare);
+        self.growth.start(scene, (&seed, most_crossings), &mut self.grid, &mut self.spare);
         true
     }
 
     /// The candidates that are crossings of the lattice start no other.
-    fn spend(&mut self) {
+    pub(super) fn spend(&mut self) {
         let used = &mut self.used;
         for &(i, j) in &self.grid.members {
             let Some(p) = self.grid.pixel(i, j) else { continue };
@@ -421,7 +416,7 @@ impl TargetDetector {
         } else if seen.elsewhere > 0 {
             NoTarget::OtherBoard { markers: seen.elsewhere, target }
         } else if count >= 2 * self.thresholds.lattice.least_crossings {
-            NoTarget::NoMarkers { cols, rows, target }
+            NoTarget::NoMarkers { cols, rows, goes_on: seen.goes_on, target }
         } else {
             NoTarget::NoLattice { corners: seen.candidates, target }
         }

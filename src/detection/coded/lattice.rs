@@ -19,6 +19,8 @@ pub(super) const CURVED: i32 = 3;
 pub(super) struct LatticeGrowth {
     queue: VecDeque<(i32, i32)>,
     pairs: Vec<ChartPair>,
+    /// Places that were measured since it was set to 0.
+    pub places: usize,
 }
 
 /// What lattices grow from: an image, what was seen in it, and what the target's lines are like.
@@ -32,11 +34,12 @@ pub(super) struct LatticeScene<'a> {
 }
 
 impl LatticeGrowth {
-    /// The largest lattice that grows from `seed`, left in `grid`.
+    /// The largest lattice that grows from `seed`, left in `grid`; beyond `most_crossings` it is
+    /// grown no further.
     pub(super) fn start(
         &mut self,
         scene: LatticeScene<'_>,
-        seed: &Seed,
+        (seed, most_crossings): (&Seed, usize),
         grid: &mut Grid,
         spare: &mut Grid,
     ) {
@@ -55,11 +58,14 @@ impl LatticeGrowth {
             self.grow(scene, spare, scene.thresholds.trial_crossings);
             if spare.members.len() > scene.thresholds.trial_crossings {
                 spare.forget_attempts();
-                self.grow(scene, spare, usize::MAX);
+                self.grow(scene, spare, most_crossings);
             }
             if spare.members.len() > most {
                 most = spare.members.len();
                 std::mem::swap(grid, spare);
+            }
+            if most > most_crossings {
+                break;
             }
         }
     }
@@ -158,6 +164,7 @@ impl LatticeGrowth {
         at: (i32, i32),
         labeled: bool,
     ) -> (Option<Node>, i32) {
+        self.places += 1;
         let (Some((expected, steps)), reach) = self.expect_within(scene.sheets, grid, at) else {
             return (None, FARTHEST);
         };

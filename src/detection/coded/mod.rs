@@ -10,6 +10,7 @@
 //! | order | `order` | which crossings to start from |
 //! | open square | `open_square` | a square of which three corners are candidates |
 //! | lattice | `chart`, `lattice` | from one cell to the next crossing, where the nearest ones put it |
+//! | floor | `floor_limits`, `floor` | what is spent on lattices larger than the board |
 //! | reading | `reading` | how well each marker cell agrees with each code |
 //! | labels | `labels` | the place in the board that most cells agree on, far more than with any other |
 //! | ends | `ends` | which of two places it is, where only the board's ends distinguish them |
@@ -31,6 +32,8 @@ pub mod detector;
 mod edge_line;
 mod ends;
 mod finish;
+mod floor;
+mod floor_limits;
 mod held_crossing;
 mod homography_equations;
 mod labeling;

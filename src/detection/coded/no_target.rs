@@ -25,13 +25,16 @@ pub enum NoTarget {
     },
     /// A lattice whose cells show no marker of the target.
     #[error(
-        "a lattice of {cols}x{rows} corners is seen, but its cells show no markers of the {target}: a plain chessboard, another dictionary or another board?"
+        "a lattice of {cols}x{rows} corners{} is seen, but its cells show no markers of the {target}: a plain chessboard, another dictionary or another board?",
+        if *goes_on { " or more" } else { "" }
     )]
     NoMarkers {
         /// Corners along the longer side.
         cols: u32,
         /// Corners along the other side.
         rows: u32,
+        /// It was followed no further, and has more.
+        goes_on: bool,
         /// What was searched for.
         target: String,
     },

@@ -156,6 +156,11 @@ impl Sheets {
         }
     }
 
+    /// Number of crossings of the target.
+    pub(super) fn crossings(&self) -> usize {
+        self.ways.iter().map(|way| (way.lines[0] * way.lines[1]) as usize).max().unwrap_or(0)
+    }
+
     /// Whether the distances between lines alternate.
     pub(super) fn alternates(&self) -> bool {
         self.widths[0] != self.widths[1]
@@ -164,6 +169,14 @@ impl Sheets {
     /// The mean interval between lines, in units of the lattice.
     pub(super) fn reach(&self) -> f32 {
         0.5 * (self.widths[0] + self.widths[1])
+    }
+
+    /// The line nearest to the position `x`, in units of the lattice.
+    pub(super) fn nearest_line(&self, x: f32) -> i32 {
+        let pairs = (x / (self.widths[0] + self.widths[1])).floor() as i32;
+        let off = |k: &i32| (self.line(*k) - x).abs();
+        let near = 2 * pairs..=2 * pairs + 2;
+        near.min_by(|a, b| off(a).total_cmp(&off(b))).unwrap_or(2 * pairs)
     }
 
     /// The position of line `k`, in units of the lattice.

@@ -19,6 +19,10 @@ const LEAST_DEPTH: f32 = 0.3;
 /// lattices even of 16 bits.
 pub(super) const LEAST_MARKERS: usize = 3;
 
+/// Cells that are read of a lattice, those nearest to the square that it grew from: half of a board
+/// of 20x20 squares. It bounds the time. Chosen.
+const MOST_CELLS: usize = 200;
+
 /// The least share of the markers that are the board's: a few cells without a marker have the
 /// pattern of one by chance.
 const LEAST_OWN: f32 = 0.85;
@@ -120,11 +124,18 @@ fn cells(sheets: &Sheets, grid: &Grid, in_bright: bool) -> Vec<LatticeCell> {
     let mut pairs: Vec<ChartPair> = Vec::new();
     let places = (bounds.j.0 - 1..=bounds.j.1)
         .flat_map(|j| (bounds.i.0 - 1..=bounds.i.1).map(move |i| (i, j)));
-    places
+    let mut places: Vec<(i32, i32)> = places
         .filter(|&(i, j)| {
             let bright = grid.polarity(i, j) > 0.0;
             bright == in_bright && !(sheets.alternates() && (i & 1, j & 1) != (0, 0))
         })
+        .collect();
+    if places.len() > MOST_CELLS {
+        places.sort_by_key(|&(i, j)| i * i + j * j);
+        places.truncate(MOST_CELLS);
+    }
+    places
+        .into_iter()
         .filter_map(|(i, j)| {
             let corners = [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)];
             let known = || corners.iter().filter_map(|at| grid.get(at.0, at.1));

@@ -7,6 +7,7 @@
 mod cells;
 mod codes;
 mod end_rows;
+mod lattices;
 mod measure;
 mod shape;
 
@@ -15,8 +16,10 @@ use std::fmt;
 use crate::detection::coded::answer::TargetDetection;
 use crate::detection::coded::detector::TargetDetector;
 use crate::detection::coded::recognition::cells::{Payload, seen_markers};
+use crate::detection::coded::recognition::lattices::SeenCandidates;
 use crate::detection::coded::recognition::shape::{ANY_SIDE_M, april_grids, charuco_boards};
-use crate::detection::coded::sheet::{charuco_inset, tag_inset};
+use crate::detection::coded::sheet::{Sheets, charuco_inset, tag_inset};
+use crate::detection::grid::Grid;
 use crate::geometry::dictionary::Dictionary;
 use crate::geometry::target::{AprilGrid, CharucoBoard, Target};
 use crate::imaging::gray::GrayView;
@@ -61,21 +64,24 @@ impl fmt::Display for RecognizedBoard {
 /// The ChArUco board or AprilGrid that `image` shows; `None` if it shows none, or so little of it
 /// that its size is not determined.
 pub fn recognize(image: GrayView<'_>) -> Option<RecognizedBoard> {
+    let mut seen = SeenCandidates::default();
     templates().into_iter().find_map(|template| {
         let payloads = payloads(&template);
         let mut lattices = TargetDetector::new(template)?;
-        lattices.find_map_lattice(image, LEAST_CROSSINGS, |view, sheets, grid| {
+        let read = |view: GrayView<'_>, sheets: &Sheets, grid: &Grid| {
             let printed = if sheets.alternates() { 2 } else { 0 };
             seen_markers(view, sheets, grid, &payloads, printed)
-                .iter()
-                .take(MOST_READINGS)
-                .find_map(|seen| {
-                    let boards = match &template {
-                        Target::AprilGrid(like) => april_grids(seen, grid, like.spacing),
-                        _ => charuco_boards(seen, grid),
-                    };
-                    confirmed(image, boards.into_iter().filter(|board| seen.mostly_of(board)))
-                })
+        };
+        let shows =
+            |view: GrayView<'_>, sheets: &Sheets, grid: &Grid| !read(view, sheets, grid).is_empty();
+        lattices.find_map_lattice(image, LEAST_CROSSINGS, &mut seen, shows, |view, sheets, grid| {
+            read(view, sheets, grid).iter().take(MOST_READINGS).find_map(|seen| {
+                let boards = match &template {
+                    Target::AprilGrid(like) => april_grids(seen, grid, like.spacing),
+                    _ => charuco_boards(seen, grid),
+                };
+                confirmed(image, boards.into_iter().filter(|board| seen.mostly_of(board)))
+            })
         })
     })
 }
