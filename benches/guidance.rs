@@ -21,7 +21,9 @@ use std::hint::black_box;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use plumb::calibration::information::candidate_views::{BoardPoints, CandidateSpace, Holding};
+use plumb::calibration::information::candidate_views::{
+    BoardPoints, CandidateSpace, PlacementInImage,
+};
 use plumb::calibration::information::corner_noise::CornerNoise;
 use plumb::calibration::information::lens_information::LensInformation;
 use plumb::calibration::information::next_shared_view::suggest_shared_view;
@@ -96,7 +98,7 @@ fn in_setting(seed: u64, lens: Option<Lens>, then: fn(&CandidateSpace<'_>)) {
 fn decision(space: &CandidateSpace<'_>) {
     let (lens, size) = (*space.lens, space.size);
     let views: Vec<_> =
-        (0..400).filter_map(|k| space.view(&Holding::of_sequence(k))).take(25).collect();
+        (0..400).filter_map(|k| space.view(&PlacementInImage::of_sequence(k))).take(25).collect();
     let mut known = LensInformation::prior(lens, size);
     for view in &views {
         let free = known.free.clone();
@@ -122,9 +124,9 @@ fn shared_decision(space: &CandidateSpace<'_>) {
     let prior = LensInformation::prior(lens, size);
     let normals: Vec<[ViewNormal; 2]> = (0..400)
         .filter_map(|k| {
-            let holding = Holding::of_sequence(k);
-            let own = space.view(&holding)?;
-            let other = space.view_at(&holding, b_from_a * own.camera_from_board)?;
+            let placement = PlacementInImage::of_sequence(k);
+            let own = space.view(&placement)?;
+            let other = space.view_at(&placement, b_from_a * own.camera_from_board)?;
             Some(
                 [own, other]
                     .map(|view| ViewNormal::of(&lens, &view.camera_from_board, &view.corners)),

@@ -81,7 +81,7 @@ pub enum Rejection {
         in_differing_digits([100.0 * gain, 100.0 * needed], 1)[0],
         in_differing_digits([100.0 * gain, 100.0 * needed], 1)[1]
     )]
-    TeachesLittle {
+    LittleInformation {
         /// The relative drop of the projections' uncertainty with it, 0 to 1.
         gain: f64,
         /// The drop that a view must bring to be kept.
@@ -151,7 +151,7 @@ impl Rejection {
     pub fn is_known_already(&self) -> bool {
         matches!(
             self,
-            Self::TooSimilar { .. } | Self::SmallStep { .. } | Self::TeachesLittle { .. }
+            Self::TooSimilar { .. } | Self::SmallStep { .. } | Self::LittleInformation { .. }
         )
     }
 
@@ -162,7 +162,7 @@ impl Rejection {
             Self::Partial { .. } => "partial",
             Self::Blurred { .. } => "blurred",
             Self::Moving { .. } => "moving",
-            Self::TooSimilar { .. } | Self::SmallStep { .. } | Self::TeachesLittle { .. } => {
+            Self::TooSimilar { .. } | Self::SmallStep { .. } | Self::LittleInformation { .. } => {
                 "too_similar"
             }
             Self::Unreadable { .. } => "unreadable",
@@ -282,7 +282,7 @@ pub(crate) const ONE_MOVEMENT_S: f64 = 0.5;
 
 /// The previous frame with a board.
 #[derive(Debug, Clone, PartialEq)]
-pub struct SeenBefore {
+pub struct PreviousBoard {
     /// Its time, in nanoseconds.
     pub time_ns: i64,
     /// The detected board.
@@ -291,15 +291,15 @@ pub struct SeenBefore {
 
 /// Decides whether a detection is sharp, still, whole and different from the kept views; returns
 /// its placement if so. How much information it would add is decided elsewhere
-/// ([`crate::calibration::information::teaching`]). It depends on the frames only, not on estimates
-/// made meanwhile: a replay keeps the same views.
+/// ([`crate::calibration::information::camera_information`]). It depends on the frames only, not on
+/// estimates made meanwhile: a replay keeps the same views.
 ///
 /// # Errors
 /// The first reason against it, the most useful to the operator first.
 pub fn admit(
     detection: &Detection,
     seen: &FrameFacts,
-    before: Option<&SeenBefore>,
+    before: Option<&PreviousBoard>,
     kept: &[Placement],
     options: &AdmissionOptions,
 ) -> Result<Placement, Rejection> {
@@ -331,7 +331,7 @@ pub fn admit(
 }
 
 /// Speed of the fastest corner since the previous frame; `None` if too much time passed.
-fn speed_px_per_s(detection: &Detection, seen: &FrameFacts, before: &SeenBefore) -> Option<f64> {
+fn speed_px_per_s(detection: &Detection, seen: &FrameFacts, before: &PreviousBoard) -> Option<f64> {
     let elapsed_s = (seen.time_ns() - before.time_ns) as f64 * 1e-9;
     // A named frame is an image file; the times of files in a folder are not those of a motion.
     if seen.name.is_some() || !(elapsed_s > 0.0 && elapsed_s < ONE_MOVEMENT_S) {

@@ -2,7 +2,7 @@
 //! by distance.
 
 use crate::calibration::result::verdict::{Grade, Verdict};
-use crate::estimation::depth_error::{JudgedTile, held_out_residuals};
+use crate::estimation::depth_error::{ComparedTile, held_out_residuals};
 use crate::estimation::rgbd::RgbdEstimate;
 use crate::geometry::depth_camera::DepthCamera;
 
@@ -65,7 +65,7 @@ impl DepthNoise {
     }
 
     /// Least squares with both coefficients nonnegative.
-    fn of(views: &[Vec<JudgedTile>]) -> Self {
+    fn of(views: &[Vec<ComparedTile>]) -> Self {
         let pairs = || {
             views.iter().flatten().map(|judged| {
                 (judged.plane.powi(-2), judged.tile.reading_std * judged.plane.powi(-2))
@@ -109,7 +109,7 @@ impl DepthCalibration {
 const RANGE: f64 = 1.25;
 
 fn bias(estimate: &RgbdEstimate) -> Vec<DepthBias> {
-    let uncorrected = |judged: &JudgedTile| judged.tile.inverse_depth - judged.plane;
+    let uncorrected = |judged: &ComparedTile| judged.tile.inverse_depth - judged.plane;
     let after = match &estimate.depth.correction {
         Some(correction) => held_out_residuals(&estimate.judged, correction, estimate.smoothness),
         None => None,

@@ -11,7 +11,7 @@
 use nalgebra::{DMatrix, Matrix6, Vector3};
 
 use crate::estimation::board_pose::board_poses;
-use crate::estimation::depth_error::JudgedTile;
+use crate::estimation::depth_error::ComparedTile;
 use crate::estimation::problem::BoardView;
 use crate::estimation::rgbd::halves::RgbdHalves;
 use crate::estimation::rgbd::{RgbdEstimate, RgbdProblem, RgbdView};
@@ -159,7 +159,7 @@ fn as_the_factory_has_it(
     let judged = |(view, color_from_board): (&RgbdView, &Pose)| {
         let seen = (view, color_from_board);
         let judged =
-            planes(seen, &camera.lens, &color_from_depth).map(|(tile, plane)| JudgedTile {
+            planes(seen, &camera.lens, &color_from_depth).map(|(tile, plane)| ComparedTile {
                 tile: *tile,
                 plane,
                 inverse_std: 1.0 / tile.reading_std.max(f64::MIN_POSITIVE),

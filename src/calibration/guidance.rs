@@ -183,7 +183,7 @@ pub(crate) fn obstacle(rejection: &Rejection) -> Option<String> {
         | Rejection::Full { .. } => Some(rejection.to_string()),
         Rejection::TooSimilar { .. }
         | Rejection::SmallStep { .. }
-        | Rejection::TeachesLittle { .. } => None,
+        | Rejection::LittleInformation { .. } => None,
     }
 }
 

@@ -1,7 +1,7 @@
 //! The solve of an instrument: one camera or several, each with all of its sensors. A single camera
 //! is an instrument of one.
 
-use crate::calibration::beside_color::with_image_sensor;
+use crate::calibration::auxiliary_image_sensor::with_image_sensor;
 use crate::calibration::cameras::solve_cameras;
 use crate::calibration::observations::{CameraFrameSets, InstrumentObservations};
 use crate::calibration::result::{Calibration, Grade};

@@ -2,7 +2,7 @@
 //! result. Pure; uses geometry, imaging, estimation, detection and features.
 
 pub mod admission;
-mod beside_color;
+mod auxiliary_image_sensor;
 mod cameras;
 mod composed_pose;
 pub mod coverage;

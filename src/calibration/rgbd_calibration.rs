@@ -14,7 +14,7 @@ use crate::calibration::solve::{SolvedCamera, uncertainty_over};
 use crate::calibration::solve_rgbd::SolvedRgbd;
 use crate::calibration::verdict::SPLIT_HALF;
 use crate::estimation::board_pose::board_poses;
-use crate::estimation::depth_error::JudgedTile;
+use crate::estimation::depth_error::ComparedTile;
 use crate::estimation::problem::{BoardView, Correspondence};
 use crate::estimation::rgbd::RgbdEstimate;
 use crate::estimation::rgbd::halves::RgbdDifference;
@@ -247,7 +247,7 @@ const SAME_FACTOR: f64 = 0.3;
 /// of depth or a wrong square.
 fn scale_doubt(joint: &RgbdEstimate, board: &Target) -> Option<String> {
     let DepthReading::Metric { unit_m } = joint.depth.reading else { return None };
-    let factor_of = |view: &Vec<JudgedTile>| {
+    let factor_of = |view: &Vec<ComparedTile>| {
         median(view.iter().map(|judged| judged.plane / judged.tile.inverse_depth).collect())
     };
     let of_views: Vec<f64> = joint.judged.iter().filter_map(factor_of).collect();

@@ -2,7 +2,7 @@
 //! device, a mirrored image.
 
 use crate::calibration::rgbd_error::RgbdError;
-use crate::estimation::depth_error::JudgedTile;
+use crate::estimation::depth_error::ComparedTile;
 use crate::estimation::rgbd::device_prior::is_plausible;
 use crate::estimation::rgbd::{DepthLens, RgbdEstimate};
 use crate::geometry::camera_matrix::CameraMatrix;
@@ -45,7 +45,7 @@ pub(super) fn check_joint(joint: &RgbdEstimate, lens_from: DepthLens) -> Result<
             false => RgbdError::Disagree { percent: 100.0 },
         });
     }
-    let left = |judged: &JudgedTile| {
+    let left = |judged: &ComparedTile| {
         let inverse = judged.tile.inverse_depth;
         let corrected = joint
             .depth

@@ -16,7 +16,7 @@ use crate::estimation::board_pose::board_poses;
 use crate::estimation::board_surface::BoardSurface;
 use crate::estimation::problem::{BoardView, CameraOptions, Correspondence};
 use crate::estimation::rgbd::motion::{
-    BoardExtent, BoardMotion, SeenByBoth, TimeOffset, TimedPose, board_motions, time_offset,
+    BoardExtent, BoardMotion, SharedFrameSet, TimeOffset, TimedPose, board_motions, time_offset,
 };
 use crate::estimation::rgbd::{DepthLens, RgbdProblem, RgbdView};
 use crate::geometry::camera_matrix::CameraMatrix;
@@ -29,7 +29,7 @@ use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
 
 /// The joint problem.
-pub(super) struct Measured {
+pub(super) struct JointProblem {
     pub(super) problem: RgbdProblem,
     /// The input's frame set of each view of the problem.
     pub(super) frame_set_of_view: Vec<usize>,
@@ -46,7 +46,7 @@ pub struct ViewWithoutDepth {
     pub reason: NoPlane,
 }
 
-impl Measured {
+impl JointProblem {
     /// The error that the lens fitted to these planes no longer sees the board there.
     pub(super) fn lens_elsewhere(&self) -> RgbdError {
         let views = &self.problem.views;
@@ -59,7 +59,7 @@ impl Measured {
 }
 
 /// The start of the joint solve.
-pub(super) struct Guess {
+pub(super) struct InitialGuess {
     color: Lens,
     color_options: CameraOptions,
     color_covariance: Option<DMatrix<f64>>,
@@ -79,7 +79,7 @@ pub(super) struct Guess {
     time_offset: Option<TimeOffset>,
 }
 
-impl Guess {
+impl InitialGuess {
     pub(super) fn of(
         input: &RgbdInput,
         size: ImageSize,
@@ -175,7 +175,7 @@ impl Guess {
             if let (Some(motion), Some(second_from_board), DepthLens::Infrared) =
                 (motion, second, self.depth_lens)
             {
-                both.push(SeenByBoth {
+                both.push(SharedFrameSet {
                     first_from_board: moment.camera_from_board,
                     motion,
                     second_from_board,
@@ -216,7 +216,11 @@ impl Guess {
 
     /// Measures the board's surface in every depth image, up to `margin` squares beyond its
     /// outermost corners.
-    pub(super) fn measured(&self, input: &RgbdInput, margin: f64) -> Result<Measured, RgbdError> {
+    pub(super) fn measured(
+        &self,
+        input: &RgbdInput,
+        margin: f64,
+    ) -> Result<JointProblem, RgbdError> {
         let (mut views, mut frame_set_of_view, mut without_depth) =
             (Vec::new(), Vec::new(), Vec::new());
         let plane_options =
@@ -262,7 +266,7 @@ impl Guess {
             let reasons = reasons(&without_depth);
             return Err(RgbdError::TooLittleDepth { usable, all, reasons });
         }
-        Ok(Measured { problem: self.problem(views), frame_set_of_view, without_depth })
+        Ok(JointProblem { problem: self.problem(views), frame_set_of_view, without_depth })
     }
 
     /// The board's `tiles` reduced to its plane, which they are compared with.

@@ -2,7 +2,7 @@
 
 use crate::calibration::result::{Extrinsics, Finding, Grade, ImageCalibration, PoseStd};
 use crate::calibration::rig_input::RigInput;
-use crate::calibration::rig_member::Alone;
+use crate::calibration::rig_member::SingleSensor;
 use crate::calibration::sensor::SensorId;
 use crate::calibration::solve::sensor_calibration;
 use crate::calibration::verdict::SPLIT_HALF;
@@ -29,7 +29,7 @@ impl Joint {
     /// Solves with the board as the cameras measured it, unless the stated board fits better.
     pub(super) fn solve(
         input: &RigInput,
-        group: &[&Alone<'_>],
+        group: &[&SingleSensor<'_>],
         options: &CameraOptions,
     ) -> Result<Self, EstimationError> {
         let symmetries = input.board.symmetries();
@@ -51,11 +51,11 @@ impl Joint {
     }
 
     fn on_board(
-        group: &[&Alone<'_>],
+        group: &[&SingleSensor<'_>],
         (board_from_labels, chosen): (&[Pose], &[Vec<usize>]),
         (board, options): (Option<&MeasuredBoard>, &CameraOptions),
     ) -> Result<Self, EstimationError> {
-        let sensor = |(one, chosen): (&&Alone<'_>, &Vec<usize>)| RigSensor {
+        let sensor = |(one, chosen): (&&SingleSensor<'_>, &Vec<usize>)| RigSensor {
             name: one.input.name.clone(),
             image_size: one.input.image_size,
             views: one.with_labels_corrected(board_from_labels, chosen),
@@ -81,7 +81,7 @@ impl Joint {
         let estimate = calibrate_rig(&problem)?;
         let reference = &group[0].input.id;
         let others = group.iter().zip(&estimate.sensor_poses).skip(1);
-        let as_solved = |(one, camera): (&&Alone<'_>, _)| ImageCalibration {
+        let as_solved = |(one, camera): (&&SingleSensor<'_>, _)| ImageCalibration {
             compared: one.solved.sensor.compared.clone(),
             board_shape: board.cloned(),
             board_warp_m: board.map(|board| board.bow_m),
@@ -106,7 +106,7 @@ impl Joint {
         self.rms_ratio.iter().map(|ratio| ratio * ratio).sum()
     }
 
-    pub(super) fn findings(&self, group: &[&Alone<'_>]) -> Vec<Finding> {
+    pub(super) fn findings(&self, group: &[&SingleSensor<'_>]) -> Vec<Finding> {
         let name = |member: usize| group[member].input.name.as_str();
         let each = self.rms_ratio.iter().enumerate();
         let misfitting = each.filter(|(_, rms_ratio)| **rms_ratio > MISFITTING);
@@ -153,11 +153,11 @@ impl Joint {
 
     /// A finding if a large part of a camera's views, which fit by themselves, contradict the
     /// board's poses by the other cameras: so many views are no outliers.
-    fn contradicted(&self, member: usize, group: &[&Alone<'_>]) -> Option<Finding> {
-        let alone = &group[member].solved.sensor.views;
-        let used = alone.iter().filter(|view| view.used).count();
-        let pairs = alone.iter().zip(&self.sensors[member].views);
-        let lost: Vec<_> = pairs.filter(|(alone, joint)| alone.used && !joint.used).collect();
+    fn contradicted(&self, member: usize, group: &[&SingleSensor<'_>]) -> Option<Finding> {
+        let single = &group[member].solved.sensor.views;
+        let used = single.iter().filter(|view| view.used).count();
+        let pairs = single.iter().zip(&self.sensors[member].views);
+        let lost: Vec<_> = pairs.filter(|(single, joint)| single.used && !joint.used).collect();
         if (lost.len() as f64) < CONTRADICTED * used as f64 {
             return None;
         }
@@ -177,10 +177,10 @@ const CONTRADICTED: f64 = 0.25;
 /// The board's shape as measured by cameras with the same labels in all their views, with its
 /// points moved to where `labels` place them; `None` if there is no such camera.
 fn measured_by(
-    group: &[&Alone<'_>],
+    group: &[&SingleSensor<'_>],
     (board_from_labels, chosen): (&[Pose], &[Vec<usize>]),
 ) -> Option<MeasuredBoard> {
-    let shape = |(one, chosen): (&&Alone<'_>, &Vec<usize>)| {
+    let shape = |(one, chosen): (&&SingleSensor<'_>, &Vec<usize>)| {
         let shape = one.solved.estimate.board_shape.as_ref()?;
         let (first, others) = chosen.split_first()?;
         let alike = others.iter().all(|symmetry| symmetry == first);

@@ -8,12 +8,12 @@ use crate::estimation::rig::FrameSetView;
 use crate::geometry::pose::Pose;
 
 /// A sensor that was calibrated by itself.
-pub(super) struct Alone<'a> {
+pub(super) struct SingleSensor<'a> {
     pub(super) input: &'a RigSensorInput,
     pub(super) solved: SolvedCamera,
 }
 
-impl Alone<'_> {
+impl SingleSensor<'_> {
     /// Whether it belongs to another camera, or is another sensor of the only one.
     pub(super) fn is_other_than(&self, other: &Self) -> bool {
         match (&self.input.id.camera, &other.input.id.camera) {

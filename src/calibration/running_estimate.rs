@@ -31,7 +31,7 @@ pub struct EstimateSoFar {
     /// The part that is shown.
     pub running: RunningEstimate,
     /// What the next estimate continues from; `None` if it has to be made anew.
-    pub going_on: Option<GoingOn>,
+    pub continuation: Option<Continuation>,
     /// Whether halves of the views agree as well as a good verdict requires; true if there are too
     /// few views for halves.
     pub model_holds: bool,
@@ -39,7 +39,7 @@ pub struct EstimateSoFar {
 
 /// What an estimate passes on to the next one.
 #[derive(Debug, Clone, PartialEq)]
-pub struct GoingOn {
+pub struct Continuation {
     start: CameraStart,
     lens_std: Vec<f64>,
     rms_px: f64,
@@ -47,13 +47,13 @@ pub struct GoingOn {
     rejected: Vec<bool>,
     /// How many views there were when the lens model was last chosen.
     chosen_from_views: usize,
-    anew: bool,
+    from_scratch: bool,
 }
 
-impl GoingOn {
+impl Continuation {
     /// Whether the estimate was made from scratch.
-    pub fn was_made_anew(&self) -> bool {
-        self.anew
+    pub fn is_from_scratch(&self) -> bool {
+        self.from_scratch
     }
 
     /// Whether the lens model has to be chosen again: the number of views has doubled since.
@@ -63,13 +63,14 @@ impl GoingOn {
 
     /// Continues to the estimate of `problem`, whose first views must be those of this one; `None`
     /// if that fails or is suspect.
-    fn go_on(&self, problem: &CameraProblem) -> Option<EstimateSoFar> {
+    fn continue_with(&self, problem: &CameraProblem) -> Option<EstimateSoFar> {
         let lens = LensChoice::Model(self.start.lens.model());
         let options =
             CameraOptions { lens, start: Some(self.start.clone()), ..CameraOptions::default() };
         let checked = calibrate_and_check(problem, &options).ok()?;
-        let made = Made { anew: false, chosen_from_views: self.chosen_from_views };
-        self.is_continued_by(&checked.0).then(|| EstimateSoFar::of(&checked, made))
+        let origin =
+            EstimateOrigin { from_scratch: false, chosen_from_views: self.chosen_from_views };
+        self.is_continued_by(&checked.0).then(|| EstimateSoFar::of(&checked, origin))
     }
 
     /// Whether `next` is plausible as this estimate with a few more views. A newly rejected view,
@@ -88,13 +89,13 @@ impl GoingOn {
 
 /// How an estimate was made.
 #[derive(Clone, Copy)]
-struct Made {
-    anew: bool,
+struct EstimateOrigin {
+    from_scratch: bool,
     chosen_from_views: usize,
 }
 
 impl EstimateSoFar {
-    fn of((estimate, check): &(CameraEstimate, ModelCheck), made: Made) -> Self {
+    fn of((estimate, check): &(CameraEstimate, ModelCheck), origin: EstimateOrigin) -> Self {
         let uncertainty_px =
             uncertainty_over(&estimate.lens, &estimate.lens_covariance, estimate.image_size);
         let uncertainty_map = uncertainty_map(estimate, SHOWN_COLUMNS, Distance::Infinity);
@@ -108,13 +109,13 @@ impl EstimateSoFar {
                 uncertainty_map: uncertainty_map.map(Arc::new),
                 views,
             },
-            going_on: Some(GoingOn {
+            continuation: Some(Continuation {
                 start: estimate.to_start(),
                 lens_std: estimate.lens_std(),
                 rms_px: estimate.rms_px,
                 rejected,
-                chosen_from_views: made.chosen_from_views,
-                anew: made.anew,
+                chosen_from_views: origin.chosen_from_views,
+                from_scratch: origin.from_scratch,
             }),
             model_holds: check
                 .split_half_ratio
@@ -133,23 +134,23 @@ impl EstimateSoFar {
 pub fn estimate_so_far(
     problem: &CameraProblem,
     lens: LensChoice,
-    earlier: Option<&GoingOn>,
+    earlier: Option<&Continuation>,
 ) -> Result<EstimateSoFar, EstimationError> {
     let views = problem.views.len();
     let earlier = earlier.filter(|earlier| !earlier.is_outgrown_by(views));
-    let gone_on =
-        earlier.filter(|_| views > LEAST_VIEWS).and_then(|earlier| earlier.go_on(problem));
-    if let Some(gone_on) = gone_on {
-        return Ok(gone_on);
+    let continued =
+        earlier.filter(|_| views > LEAST_VIEWS).and_then(|earlier| earlier.continue_with(problem));
+    if let Some(continued) = continued {
+        return Ok(continued);
     }
-    let anew = |lens: LensChoice, chosen_from_views: usize| {
+    let from_scratch = |lens: LensChoice, chosen_from_views: usize| {
         let checked =
             calibrate_and_check(problem, &CameraOptions { lens, ..CameraOptions::default() })?;
-        Ok(EstimateSoFar::of(&checked, Made { anew: true, chosen_from_views }))
+        Ok(EstimateSoFar::of(&checked, EstimateOrigin { from_scratch: true, chosen_from_views }))
     };
     // If only the fit is made anew, the lens model stays that of the earlier choice.
     let of_chosen = earlier.and_then(|kept| {
-        anew(LensChoice::Model(kept.start.lens.model()), kept.chosen_from_views).ok()
+        from_scratch(LensChoice::Model(kept.start.lens.model()), kept.chosen_from_views).ok()
     });
-    of_chosen.map_or_else(|| anew(lens, views), Ok)
+    of_chosen.map_or_else(|| from_scratch(lens, views), Ok)
 }

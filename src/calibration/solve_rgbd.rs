@@ -5,7 +5,7 @@ use crate::calibration::factory_check::FactoryCheck;
 use crate::calibration::rgbd_check::check_joint;
 pub use crate::calibration::rgbd_error::RgbdError;
 pub use crate::calibration::rgbd_guess::ViewWithoutDepth;
-use crate::calibration::rgbd_guess::{Guess, Measured};
+use crate::calibration::rgbd_guess::{InitialGuess, JointProblem};
 use crate::calibration::rgbd_input::{RgbdInput, check_measured, poses, problem, views};
 use crate::calibration::solve::{SolvedCamera, solve_views};
 use crate::estimation::camera::CameraOptions;
@@ -110,11 +110,11 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
     let placed = measured_board.map(|board| placed_on(&labeled, board));
     let input = placed.as_ref().unwrap_or(&labeled);
     let infrared = with_infrared.then(|| infrared_alone(input)).transpose()?;
-    let mut guess = Guess::of(input, depth_size, &color, options, infrared.as_ref());
+    let mut guess = InitialGuess::of(input, depth_size, &color, options, infrared.as_ref());
     let measured = measured_where_depth_sees_it(input, &mut guess, infrared.is_some(), options)?;
     let joint = calibrate_rgbd(&measured.problem).map_err(of_joint)?;
     check_joint(&joint, measured.problem.depth_lens)?;
-    let Measured { problem, frame_set_of_view, without_depth } = measured;
+    let JointProblem { problem, frame_set_of_view, without_depth } = measured;
     let halves = RgbdHalves::of(&problem, &joint);
     options.interrupt.check().map_err(RgbdError::Joint)?;
     let factory = input
@@ -145,10 +145,10 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
 /// depth; without infrared these are fitted to the surface found, and it is measured again.
 fn measured_where_depth_sees_it(
     input: &RgbdInput,
-    guess: &mut Guess,
+    guess: &mut InitialGuess,
     with_infrared: bool,
     options: &CameraOptions,
-) -> Result<Measured, RgbdError> {
+) -> Result<JointProblem, RgbdError> {
     if with_infrared {
         return guess.measured(input, MARGIN_SQUARES);
     }

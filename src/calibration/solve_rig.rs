@@ -7,7 +7,7 @@ use crate::calibration::result::{
 };
 use crate::calibration::rig_input::{RigInput, RigSensorInput};
 use crate::calibration::rig_joint::Joint;
-use crate::calibration::rig_member::Alone;
+use crate::calibration::rig_member::SingleSensor;
 use crate::calibration::sensor::SensorId;
 use crate::calibration::solve::solve_views;
 use crate::estimation::camera::CameraOptions;
@@ -89,7 +89,7 @@ pub enum RigError {
 /// [`RigError`]. A sensor that cannot be calibrated, or shares no view with any other, does not
 /// affect the others: the verdict names it.
 pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig, RigError> {
-    let (mut alone, mut failed) = (Vec::new(), Vec::new());
+    let (mut singles, mut failed) = (Vec::new(), Vec::new());
     for sensor in &input.sensors {
         let views = sensor.views.iter().map(|seen| seen.view.clone()).collect();
         let held = |lens: Lens| CameraOptions::holding(&lens, &options.interrupt);
@@ -97,16 +97,16 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
         // While a board stands still, another camera may see it where it did not before.
         let options = CameraOptions { copies_count: true, ..options };
         match solve_views(&CameraProblem { image_size: sensor.image_size, views }, &options) {
-            Ok(solved) => alone.push(Alone { input: sensor, solved }),
+            Ok(solved) => singles.push(SingleSensor { input: sensor, solved }),
             Err(source) => failed.push((sensor, source)),
         }
     }
-    check_enough(input, &alone, &failed)?;
-    if let Some(shifted) = shifted_list(&alone) {
+    check_enough(input, &singles, &failed)?;
+    if let Some(shifted) = shifted_list(&singles) {
         return Err(shifted);
     }
-    let groups = connected(&alone);
-    if !groups.iter().any(|group| leads_to_another(group, &alone)) {
+    let groups = connected(&singles);
+    if !groups.iter().any(|group| leads_to_another(group, &singles)) {
         return Err(RigError::NothingShared);
     }
     let mut findings = Vec::new();
@@ -115,33 +115,33 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
         findings.push(Finding { grade: Grade::Usable, reason });
     }
     let mut sensors: Vec<ImageCalibration> =
-        alone.iter().map(|one| one.solved.sensor.clone()).collect();
+        singles.iter().map(|one| one.solved.sensor.clone()).collect();
     let mut extrinsics = Vec::new();
     let mut worst_pose_ratio: Option<f64> = None;
     for group in &groups {
-        if !leads_to_another(group, &alone) {
-            let reason = open_place(&alone[group[0]]);
+        if !leads_to_another(group, &singles) {
+            let reason = open_place(&singles[group[0]]);
             findings.push(Finding { grade: Grade::Usable, reason });
         }
         if group.len() < 2 {
             continue;
         }
-        let (group, joint) = jointly(input, (&alone, group), options, &mut findings)?;
-        let members: Vec<&Alone<'_>> = group.iter().map(|index| &alone[*index]).collect();
+        let (group, joint) = jointly(input, (&singles, group), options, &mut findings)?;
+        let members: Vec<&SingleSensor<'_>> = group.iter().map(|index| &singles[*index]).collect();
         findings.extend(joint.findings(&members));
         let ratios = joint.halves.iter().filter_map(|halves| Some(halves.pose?.ratio));
         worst_pose_ratio = ratios.chain(worst_pose_ratio).reduce(f64::max);
         for (index, halves) in group.iter().zip(&joint.halves) {
-            alone[*index].solved.take_halves(halves.lens, halves.held_out_rms_px);
+            singles[*index].solved.take_halves(halves.lens, halves.held_out_rms_px);
         }
         for (index, sensor) in group.iter().zip(joint.sensors) {
             sensors[*index] = sensor;
         }
         extrinsics.extend(joint.extrinsics);
     }
-    let verdict = verdict(&alone, &sensors, findings);
-    let sensors = alone.iter().zip(sensors).map(|(one, sensor)| (one.input.id.clone(), sensor));
-    let checks = checks(&alone, worst_pose_ratio);
+    let verdict = verdict(&singles, &sensors, findings);
+    let sensors = singles.iter().zip(sensors).map(|(one, sensor)| (one.input.id.clone(), sensor));
+    let checks = checks(&singles, worst_pose_ratio);
     Ok(SolvedRig { sensors: sensors.collect(), extrinsics, checks, verdict })
 }
 
@@ -149,13 +149,13 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
 /// others.
 fn jointly(
     input: &RigInput,
-    (alone, group): (&[Alone<'_>], &[usize]),
+    (singles, group): (&[SingleSensor<'_>], &[usize]),
     options: &CameraOptions,
     findings: &mut Vec<Finding>,
 ) -> Result<(Vec<usize>, Joint), RigError> {
     let mut group = group.to_vec();
     loop {
-        let members: Vec<&Alone<'_>> = group.iter().map(|index| &alone[*index]).collect();
+        let members: Vec<&SingleSensor<'_>> = group.iter().map(|index| &singles[*index]).collect();
         let error = match Joint::solve(input, &members, options) {
             Ok(joint) => return Ok((group, joint)),
             Err(error) => error,
@@ -169,7 +169,7 @@ fn jointly(
         let Some(at) = named.filter(|_| group.len() > 2) else {
             return Err(RigError::Joint(error));
         };
-        let name = &alone[group.remove(at)].input.name;
+        let name = &singles[group.remove(at)].input.name;
         findings.push(Finding {
             grade: Grade::Poor,
             reason: format!("where camera `{name}` is stays open: {error}"),
@@ -178,19 +178,19 @@ fn jointly(
 }
 
 /// Whether a group has more than one camera, or more than one sensor of the only camera.
-fn leads_to_another(group: &[usize], alone: &[Alone<'_>]) -> bool {
-    alone[group[0]].is_other_than(&alone[group[group.len() - 1]])
+fn leads_to_another(group: &[usize], singles: &[SingleSensor<'_>]) -> bool {
+    singles[group[0]].is_other_than(&singles[group[group.len() - 1]])
 }
 
 /// Checks that two sensors could be calibrated, of different cameras if there are several cameras.
 fn check_enough(
     input: &RigInput,
-    alone: &[Alone<'_>],
+    singles: &[SingleSensor<'_>],
     failed: &[(&RigSensorInput, EstimationError)],
 ) -> Result<(), RigError> {
     let one_camera =
         input.sensors.iter().all(|sensor| sensor.id.camera == input.sensors[0].id.camera);
-    let several = match alone {
+    let several = match singles {
         [] | [_] => false,
         [first, others @ ..] => one_camera || others.iter().any(|one| first.is_other_than(one)),
     };
@@ -199,11 +199,11 @@ fn check_enough(
     }
     let first = failed.first().map(|(sensor, source)| (sensor.name.clone(), source.clone()));
     let (camera, source) = first.unwrap_or((String::new(), EstimationError::NoFit));
-    Err(RigError::TooFewCameras { solved: alone.len(), all: input.sensors.len(), camera, source })
+    Err(RigError::TooFewCameras { solved: singles.len(), all: input.sensors.len(), camera, source })
 }
 
 /// The finding that nothing determines this camera's pose.
-fn open_place(isolated: &Alone<'_>) -> String {
+fn open_place(isolated: &SingleSensor<'_>) -> String {
     let name = &isolated.input.name;
     let reason =
         "saw the whole board at no moment at which another camera did: show it to both at once";
@@ -212,8 +212,8 @@ fn open_place(isolated: &Alone<'_>) -> String {
 
 /// A camera whose frames agree with the first one's when they are taken to be of frame sets a few
 /// places earlier or later, and not as they are.
-fn shifted_list(alone: &[Alone<'_>]) -> Option<RigError> {
-    let (first, others) = alone.split_first()?;
+fn shifted_list(singles: &[SingleSensor<'_>]) -> Option<RigError> {
+    let (first, others) = singles.split_first()?;
     let reference = first.poses();
     others.iter().find_map(|other| {
         let by = list_shift(&reference, &other.poses())?;
@@ -225,15 +225,16 @@ fn shifted_list(alone: &[Alone<'_>]) -> Option<RigError> {
 
 /// Groups of cameras that share frame sets, directly or through others; each group in order, and
 /// the groups by their first camera.
-fn connected(alone: &[Alone<'_>]) -> Vec<Vec<usize>> {
-    let frame_sets =
-        |one: &Alone<'_>| one.poses().into_iter().map(|own| own.frame_set).collect::<Vec<_>>();
-    let frame_sets: Vec<Vec<usize>> = alone.iter().map(frame_sets).collect();
+fn connected(singles: &[SingleSensor<'_>]) -> Vec<Vec<usize>> {
+    let frame_sets = |one: &SingleSensor<'_>| {
+        one.poses().into_iter().map(|own| own.frame_set).collect::<Vec<_>>()
+    };
+    let frame_sets: Vec<Vec<usize>> = singles.iter().map(frame_sets).collect();
     let share = |a: usize, b: usize| {
         frame_sets[a].iter().any(|frame_set| frame_sets[b].contains(frame_set))
     };
     let mut groups: Vec<Vec<usize>> = Vec::new();
-    for camera in 0..alone.len() {
+    for camera in 0..singles.len() {
         let (joined, separate): (Vec<_>, Vec<_>) =
             groups.into_iter().partition(|group| group.iter().any(|other| share(*other, camera)));
         let mut joined = joined.concat();
@@ -247,8 +248,8 @@ fn connected(alone: &[Alone<'_>]) -> Vec<Vec<usize>> {
 }
 
 /// `pose_ratio`: the split-half ratio of the worst sensor's pose.
-fn checks(alone: &[Alone<'_>], pose_ratio: Option<f64>) -> Checks {
-    let all = || alone.iter().map(|one| &one.solved.checks);
+fn checks(singles: &[SingleSensor<'_>], pose_ratio: Option<f64>) -> Checks {
+    let all = || singles.iter().map(|one| &one.solved.checks);
     let worst = |figure: fn(&Checks) -> Option<f64>| all().filter_map(figure).reduce(f64::max);
     let lens_ratio = worst(|checks| checks.split_half_ratio);
     Checks {
@@ -262,11 +263,11 @@ fn checks(alone: &[Alone<'_>], pose_ratio: Option<f64>) -> Checks {
 /// The verdict of each camera by itself, with its uncertainty in the joint solve (`sensors`), and
 /// of all of them.
 fn verdict(
-    alone: &[Alone<'_>],
+    singles: &[SingleSensor<'_>],
     sensors: &[ImageCalibration],
     mut findings: Vec<Finding>,
 ) -> Verdict {
-    for (one, sensor) in alone.iter().zip(sensors) {
+    for (one, sensor) in singles.iter().zip(sensors) {
         let of_camera = one.solved.verdict_of(sensor);
         let named = |reason| Finding {
             grade: of_camera.grade,

@@ -6,7 +6,7 @@ use crate::calibration::result::{Finding, Grade, Verdict};
 use crate::calibration::rounded::{in_differing_digits, value_with_std};
 use crate::calibration::tag_spacing::TagSpacing;
 use crate::estimation::camera::CameraEstimate;
-use crate::estimation::known_together::known_only_together;
+use crate::estimation::correlated_coefficients::correlated_coefficients;
 use crate::estimation::lens_misfit::LensMisfit;
 use crate::estimation::lens_pole::has_pole;
 use crate::estimation::model_check::ModelCheck;
@@ -64,7 +64,7 @@ pub(crate) fn judge(
     findings.extend(missing_area(coverage));
     findings.extend(flat_board(estimate));
     findings.extend(accounted_for(estimate, shutter_in_model));
-    findings.extend(known_together(estimate));
+    findings.extend(correlated(estimate));
     Verdict::of(findings)
 }
 
@@ -301,7 +301,7 @@ fn accounted_for(estimate: &CameraEstimate, shutter_in_model: bool) -> Vec<Findi
 }
 
 /// A finding if some coefficients are not meaningful by themselves; projections are not affected.
-fn known_together(estimate: &CameraEstimate) -> Option<Finding> {
+fn correlated(estimate: &CameraEstimate) -> Option<Finding> {
     let lens = &estimate.lens;
     if let Some(OtherMinimum { lens: other, .. }) = &estimate.other_minimum {
         let [own, other] = [lens, other].map(numbers_of);
@@ -311,7 +311,7 @@ fn known_together(estimate: &CameraEstimate) -> Option<Finding> {
         );
         return Some(Finding { grade: Grade::Good, reason });
     }
-    let names = known_only_together(lens, &estimate.lens_std(), estimate.image_size);
+    let names = correlated_coefficients(lens, &estimate.lens_std(), estimate.image_size);
     let which = match names.as_slice() {
         [one] => format!("{one} of the {} lens is", lens.model()),
         _ => format!("{} of the {} lens are", names.join(", "), lens.model()),

@@ -27,7 +27,7 @@ pub(crate) struct CameraFit {
     pub(crate) effects: Option<EffectsFit>,
     /// Where a rolling shutter is likely but not significant: the change of the lens's parameters
     /// with it, times the square root of its probability.
-    pub(crate) shutter_doubt: Option<DVector<f64>>,
+    pub(crate) shutter_uncertainty: Option<DVector<f64>>,
     /// Where the lens model was chosen: the covariance of all parameters of the lens from the other
     /// models, weighted by their probabilities ([`crate::estimation::model_averaging`]).
     pub(crate) between_models: Option<DMatrix<f64>>,
@@ -52,7 +52,7 @@ impl CameraFit {
             observations,
             faults,
             effects: None,
-            shutter_doubt: None,
+            shutter_uncertainty: None,
             between_models: None,
         }
     }

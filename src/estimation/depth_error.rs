@@ -15,7 +15,7 @@ use crate::geometry::pixel::ImageSize;
 
 /// A tile, the 1/z of the board's plane there, and the expected scatter between the two.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct JudgedTile {
+pub struct ComparedTile {
     /// The measurement.
     pub tile: DepthTile,
     /// The plane's 1/z, in 1/m.
@@ -129,7 +129,7 @@ const PREFERENCE: f64 = 0.01;
 /// Compares corrections on `views` (the tiles of each). `quantities` are those that make sense for
 /// the device. Once `interrupt` was requested no more are tried.
 pub fn choose_correction(
-    views: &[Vec<JudgedTile>],
+    views: &[Vec<ComparedTile>],
     size: ImageSize,
     quantities: &[CorrectedQuantity],
     interrupt: &Interrupt,
@@ -203,13 +203,13 @@ const SMOOTH: [Smoothness; 3] = [
 ];
 
 /// The nearest and the farthest depth of the tiles.
-fn seen(views: &[Vec<JudgedTile>]) -> [f64; 2] {
+fn seen(views: &[Vec<ComparedTile>]) -> [f64; 2] {
     let depths = || views.iter().flatten().map(|judged| 1.0 / judged.tile.inverse_depth);
     [depths().fold(f64::INFINITY, f64::min), depths().fold(0.0, f64::max)]
 }
 
-fn uncorrected(views: &[Vec<JudgedTile>]) -> f64 {
-    let squares = |judged: &JudgedTile| {
+fn uncorrected(views: &[Vec<ComparedTile>]) -> f64 {
+    let squares = |judged: &ComparedTile| {
         ((judged.tile.inverse_depth - judged.plane) * judged.inverse_std).powi(2)
     };
     let count = views.iter().map(Vec::len).sum::<usize>().max(1);
@@ -224,7 +224,11 @@ struct Fold {
 
 /// A tile's residual without correction, and its derivatives by the coefficients: of the corrected
 /// quantity, in standard deviations, with the sign of 1/z.
-fn rows(correction: &DepthCorrection, judged: &JudgedTile, columns: &mut Vec<(usize, f64)>) -> f64 {
+fn rows(
+    correction: &DepthCorrection,
+    judged: &ComparedTile,
+    columns: &mut Vec<(usize, f64)>,
+) -> f64 {
     columns.clear();
     correction_columns(correction, &judged.tile, |index, value| {
         columns.push((index, value * judged.inverse_std));
@@ -239,7 +243,7 @@ fn rows(correction: &DepthCorrection, judged: &JudgedTile, columns: &mut Vec<(us
 
 /// Corrected 1/z minus the plane's, in 1/m, where the error of the corrected quantity is `off`
 /// standard deviations ([`rows`]).
-fn off_plane(quantity: CorrectedQuantity, judged: &JudgedTile, off: f64) -> f64 {
+fn off_plane(quantity: CorrectedQuantity, judged: &ComparedTile, off: f64) -> f64 {
     let off = off / judged.inverse_std;
     match quantity {
         CorrectedQuantity::InverseDepth => off,
@@ -251,7 +255,7 @@ fn off_plane(quantity: CorrectedQuantity, judged: &JudgedTile, off: f64) -> f64 
 }
 
 fn held_out(
-    views: &[Vec<JudgedTile>],
+    views: &[Vec<ComparedTile>],
     folds: &[Fold],
     form: &DepthCorrection,
     smoothness: Smoothness,
@@ -260,7 +264,8 @@ fn held_out(
         return f64::INFINITY;
     };
     let count = residuals.iter().map(Vec::len).sum::<usize>().max(1);
-    let of_tile = |(judged, residual): (&JudgedTile, &f64)| (judged.inverse_std * residual).powi(2);
+    let of_tile =
+        |(judged, residual): (&ComparedTile, &f64)| (judged.inverse_std * residual).powi(2);
     let squares =
         views.iter().zip(&residuals).flat_map(|(view, residuals)| view.iter().zip(residuals));
     (squares.map(of_tile).sum::<f64>() / count as f64).sqrt()
@@ -269,7 +274,7 @@ fn held_out(
 /// Corrected 1/z minus the plane's, in 1/m, of every tile, by a correction of this form fitted to
 /// other views. `None` where it cannot be fitted.
 pub fn held_out_residuals(
-    views: &[Vec<JudgedTile>],
+    views: &[Vec<ComparedTile>],
     correction: &DepthCorrection,
     smoothness: Smoothness,
 ) -> Option<Vec<Vec<f64>>> {
@@ -281,7 +286,7 @@ pub fn held_out_residuals(
 }
 
 /// The normal equations of each group of views for an unfitted correction of this form.
-fn folds(views: &[Vec<JudgedTile>], form: &DepthCorrection) -> Vec<Fold> {
+fn folds(views: &[Vec<ComparedTile>], form: &DepthCorrection) -> Vec<Fold> {
     let size = form.coefficients.len();
     let mut folds: Vec<Fold> = (0..FOLDS)
         .map(|_| Fold { hessian: DMatrix::zeros(size, size), right: DVector::zeros(size) })
@@ -303,7 +308,7 @@ fn folds(views: &[Vec<JudgedTile>], form: &DepthCorrection) -> Vec<Fold> {
 
 /// The fold of each view. Those with depth are assigned in rotation; a view without depth is in the
 /// first fold, where it has no effect.
-fn fold_of_each(views: &[Vec<JudgedTile>]) -> impl Iterator<Item = usize> + '_ {
+fn fold_of_each(views: &[Vec<ComparedTile>]) -> impl Iterator<Item = usize> + '_ {
     let mut with_depth = 0;
     views.iter().map(move |view| {
         let fold = if view.is_empty() { 0 } else { with_depth % FOLDS };
@@ -314,7 +319,7 @@ fn fold_of_each(views: &[Vec<JudgedTile>]) -> impl Iterator<Item = usize> + '_ {
 
 /// The residuals of each view under the fit to the other folds.
 fn residuals_of(
-    views: &[Vec<JudgedTile>],
+    views: &[Vec<ComparedTile>],
     folds: &[Fold],
     form: &DepthCorrection,
     smoothness: Smoothness,
@@ -331,7 +336,7 @@ fn residuals_of(
     let fits = fits?;
     let each = views.iter().zip(fold_of_each(views)).map(|(view, fold)| {
         let coefficients = &fits[fold];
-        let residual = |judged: &JudgedTile| {
+        let residual = |judged: &ComparedTile| {
             let before = rows(form, judged, &mut columns);
             let off = before + columns.iter().map(|(i, d)| d * coefficients[*i]).sum::<f64>();
             off_plane(form.quantity, judged, off)
@@ -347,11 +352,11 @@ mod tests {
     use crate::geometry::pixel::Pixel;
 
     /// Ten views of planes from 0.4 to 3 m, all measured 5 cm too far.
-    fn too_far() -> Vec<Vec<JudgedTile>> {
+    fn too_far() -> Vec<Vec<ComparedTile>> {
         let tile = |view: u32, k: u32| {
             let z = 0.4 + 0.26 * f64::from(view) + 0.01 * f64::from(k);
             let pixel = Pixel::new(f64::from(20 * k), 100.0);
-            JudgedTile {
+            ComparedTile {
                 tile: DepthTile {
                     pixel,
                     inverse_depth: 1.0 / (z + 0.05),
@@ -371,7 +376,7 @@ mod tests {
         let views = too_far();
         let form = DepthCorrection::none(CorrectedQuantity::Depth, 1, grid, seen(&views));
         let left = held_out_residuals(&views, &form, SMOOTH[0]).unwrap();
-        let left_m = |(judged, residual): (&JudgedTile, &f64)| residual / judged.plane.powi(2);
+        let left_m = |(judged, residual): (&ComparedTile, &f64)| residual / judged.plane.powi(2);
         let worst_m = views
             .iter()
             .flatten()

@@ -59,7 +59,7 @@ const SHAPE: usize = 7;
 
 /// The direction in which an image was read out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Read {
+enum ReadOut {
     AtOnce,
     ByRows,
     ByColumns,
@@ -79,16 +79,16 @@ impl Misfit {
         if fit.layout.warp.is_some() || fit.layout.sensors.len() > 1 {
             return Self::default();
         }
-        let score = |read, shape| Score::of(fit, views, Extra { size, read, shape });
-        let shape = is_flat.then(|| score(Read::AtOnce, SHAPE)).flatten();
+        let score = |read, shape| Score::of(fit, views, AddedEffect { size, read, shape });
+        let shape = is_flat.then(|| score(ReadOut::AtOnce, SHAPE)).flatten();
         let without_motion = shape.as_ref().map_or(fit.noise_square(), Score::variance_left);
         let rows = (options.shutter == Shutter::Global)
-            .then(|| score(Read::ByRows, 0))
+            .then(|| score(ReadOut::ByRows, 0))
             .flatten()
             .filter(|rows| rows.variance_left() < MOTION_LEFT * without_motion);
         let is_motion = |rows: &Score| {
             let by_columns = || {
-                score(Read::ByColumns, 0).is_some_and(|columns| {
+                score(ReadOut::ByColumns, 0).is_some_and(|columns| {
                     rows.variance_left() < MOTION_AGAINST_COLUMNS * columns.variance_left()
                 })
             };
@@ -133,27 +133,27 @@ pub(crate) fn board_bow_m(fit: &CameraFit, views: &[usize]) -> Option<[f64; 2]> 
 
 /// The effect that is added to the model.
 #[derive(Debug, Clone, Copy)]
-struct Extra {
+struct AddedEffect {
     /// The image's width and height in pixels.
     size: [f64; 2],
-    read: Read,
+    read: ReadOut,
     /// 0 or [`SHAPE`].
     shape: usize,
 }
 
-impl Extra {
+impl AddedEffect {
     /// When a pixel was read, relative to the middle of the read-out and in units of its duration;
     /// `None` where all are read at once.
     fn time(&self, pixel: Pixel) -> Option<f64> {
         match self.read {
-            Read::AtOnce => None,
-            Read::ByRows => Some(read_out_time(pixel.y, self.size[1])),
-            Read::ByColumns => Some(read_out_time(pixel.x, self.size[0])),
+            ReadOut::AtOnce => None,
+            ReadOut::ByRows => Some(read_out_time(pixel.y, self.size[1])),
+            ReadOut::ByColumns => Some(read_out_time(pixel.x, self.size[0])),
         }
     }
 
     fn per_view(&self) -> usize {
-        if self.read == Read::AtOnce { 6 } else { 12 }
+        if self.read == ReadOut::AtOnce { 6 } else { 12 }
     }
 }
 
@@ -169,7 +169,7 @@ struct Score {
 }
 
 impl Score {
-    fn of(fit: &CameraFit, views: &[usize], extra: Extra) -> Option<Self> {
+    fn of(fit: &CameraFit, views: &[usize], extra: AddedEffect) -> Option<Self> {
         let globals = fit.layout.len + extra.shape;
         let (mut schur, mut right) = (DMatrix::zeros(globals, globals), DVector::zeros(globals));
         let (mut cost, mut decrease, mut residuals) = (0.0, 0.0, 0);
@@ -234,7 +234,11 @@ fn shape_at(point: &Point3<f64>, half: [f64; 2]) -> [f64; SHAPE] {
 
 /// The weighted derivatives (lens, shape, pose, motion) and residuals of one view's inlier
 /// corners.
-fn linearized(fit: &CameraFit, view: usize, extra: Extra) -> Option<(DMatrix<f64>, DVector<f64>)> {
+fn linearized(
+    fit: &CameraFit,
+    view: usize,
+    extra: AddedEffect,
+) -> Option<(DMatrix<f64>, DVector<f64>)> {
     let (observation, lens) = (&fit.observations[view], fit.lens());
     let pose = fit.robust.minimum.state.rig_from_board[observation.frame_set];
     let (rotation, half) = (pose.rotation_matrix(), board_half_extent(fit));

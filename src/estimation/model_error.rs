@@ -52,14 +52,15 @@ pub(crate) fn noise_floor_px_of(problem: &CameraProblem, estimate: &CameraEstima
     let corners = views.flat_map(|(given, view)| {
         given.correspondences.iter().zip(&view.residuals_px).zip(&view.used)
     });
-    let seen: Vec<Seen> = corners
+    let seen: Vec<UsedCorner> = corners
         .filter(|(_, used)| **used)
-        .map(|((corner, residual), _)| Seen::of(corner, residual))
+        .map(|((corner, residual), _)| UsedCorner::of(corner, residual))
         .collect();
     if seen.windows(2).all(|pair| pair[0].variance == pair[1].variance) {
         return None;
     }
-    let seen: Vec<Seen> = seen.iter().step_by(seen.len().div_ceil(CORNERS)).copied().collect();
+    let seen: Vec<UsedCorner> =
+        seen.iter().step_by(seen.len().div_ceil(CORNERS)).copied().collect();
     let mut variances: Vec<f64> = seen.iter().map(|seen| seen.variance).collect();
     let [sharp, blurred] = [0.05, 0.95].map(|part| {
         let at = ((variances.len() - 1) as f64 * part) as usize;
@@ -78,23 +79,23 @@ pub(crate) fn noise_floor_px_of(problem: &CameraProblem, estimate: &CameraEstima
 
 /// A used corner.
 #[derive(Debug, Clone, Copy)]
-struct Seen {
+struct UsedCorner {
     /// Its given variance per axis.
     variance: f64,
     /// The mean square of its two residuals.
     square: f64,
 }
 
-impl Seen {
+impl UsedCorner {
     fn of(corner: &Correspondence, [x, y]: &[f64; 2]) -> Self {
         Self { variance: corner.std_px.powi(2), square: 0.5 * (x * x + y * y) }
     }
 }
 
 /// −ln of the likelihood, up to a constant, at the maximum-likelihood k.
-fn negative_log_likelihood(seen: &[Seen], common: f64) -> f64 {
+fn negative_log_likelihood(seen: &[UsedCorner], common: f64) -> f64 {
     let (mut level, mut log_determinant) = (0.0, 0.0);
-    for Seen { variance, square } in seen {
+    for UsedCorner { variance, square } in seen {
         level += square / (variance + common);
         log_determinant += (variance + common).ln();
     }

@@ -19,7 +19,7 @@ use super::sync::testing;
 use super::sync::{Condvar, Mutex, MutexGuard, lock, unpoisoned};
 use crate::calibration::admission::AdmissionOptions;
 use crate::calibration::session::CameraFrame;
-use crate::calibration::session::gate::{Gate, KeptSoFar};
+use crate::calibration::session::gate::{Gate, KeptViews};
 use crate::calibration::target::CalibrationTarget;
 use crate::imaging::factory::FactoryCalibration;
 use crate::imaging::frame::SensorKind;
@@ -54,7 +54,7 @@ pub(super) struct Assembly {
     changed: Condvar,
     /// Held by the one thread that finishes frame sets, so that they stay in order.
     finishing: Mutex<Finishing>,
-    kept: Mutex<Arc<KeptSoFar>>,
+    kept: Mutex<Arc<KeptViews>>,
 }
 
 #[derive(Debug)]
@@ -186,7 +186,7 @@ impl Assembly {
     }
 
     /// What the session has kept so far.
-    pub(super) fn set_kept(&self, kept: KeptSoFar) {
+    pub(super) fn set_kept(&self, kept: KeptViews) {
         *lock(&self.kept) = Arc::new(kept);
     }
 
@@ -257,7 +257,7 @@ impl Finishing {
         &mut self,
         mut frames: Vec<Option<SeenFrame>>,
         target: &CalibrationTarget,
-        kept: &KeptSoFar,
+        kept: &KeptViews,
     ) -> SeenFrameSet {
         let mut observed = observed(&frames, &self.factories);
         if let CalibrationTarget::Board(board) = target

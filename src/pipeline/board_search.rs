@@ -22,7 +22,7 @@ use crate::store::Picture;
 
 /// How a frame is searched.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum SearchManner {
+pub(super) enum SearchMode {
     /// In full: the result depends on this image alone, and is as accurate as possible.
     Whole,
     /// Where the board was in the previous frame, and in full if it is not there. This takes a
@@ -50,11 +50,11 @@ impl BoardSearch {
         &mut self,
         frame_set: &FrameSet,
         board: &Target,
-        manner: SearchManner,
+        mode: SearchMode,
     ) -> FrameDetection {
         let started = Instant::now();
         let found = match searched_frame(frame_set) {
-            Some(frame) => self.search_frame(frame, board, manner),
+            Some(frame) => self.search_frame(frame, board, mode),
             None => Err(NoImage::of(frame_set).into()),
         };
         let tracked = found.as_ref().is_ok_and(|found| found.followed);
@@ -78,7 +78,7 @@ impl BoardSearch {
         let frame_set = Arc::clone(&seen.frame_set);
         if seen.detection.tracked {
             let elapsed_ms = seen.detection.elapsed_ms;
-            let detection = self.search(&frame_set, board, SearchManner::Whole);
+            let detection = self.search(&frame_set, board, SearchMode::Whole);
             seen.detection = FrameDetection { elapsed_ms, ..detection };
         }
         let Some(searched) = searched_frame(&frame_set) else { return };
@@ -114,7 +114,7 @@ impl BoardSearch {
             return SensorObservation::of_depth(frame, depth_encoding);
         }
         let image = image_of(frame)?;
-        let found = self.search_frame(frame, board, SearchManner::Whole);
+        let found = self.search_frame(frame, board, SearchMode::Whole);
         Some(SensorObservation {
             sensor,
             image_size: frame.size,
@@ -129,9 +129,9 @@ impl BoardSearch {
         &mut self,
         frame: &Frame,
         board: &Target,
-        manner: SearchManner,
+        mode: SearchMode,
     ) -> Result<TrackedBoard, NoDetection> {
-        guarded(|| self.try_search(frame, board, manner)).unwrap_or_else(|detail| {
+        guarded(|| self.try_search(frame, board, mode)).unwrap_or_else(|detail| {
             // The finder's state after a panic cannot be trusted.
             self.finder = None;
             Err(unreadable(detail))
@@ -142,7 +142,7 @@ impl BoardSearch {
         &mut self,
         frame: &Frame,
         board: &Target,
-        manner: SearchManner,
+        mode: SearchMode,
     ) -> Result<TrackedBoard, NoDetection> {
         decode::luma(frame, &mut self.luma).map_err(|error| unreadable(error.to_string()))?;
         let finder = match &mut self.finder {
@@ -150,12 +150,12 @@ impl BoardSearch {
             other => other.insert(TargetFinder::new(board)),
         };
         let (image, options) = (self.luma.view(), DetectOptions::default());
-        Ok(match manner {
-            SearchManner::Whole => TrackedBoard {
+        Ok(match mode {
+            SearchMode::Whole => TrackedBoard {
                 detection: finder.find_in_sequence(image, &options)?,
                 followed: false,
             },
-            SearchManner::Tracked => finder.track(image, &options)?,
+            SearchMode::Tracked => finder.track(image, &options)?,
         })
     }
 }

@@ -6,7 +6,7 @@ use ulid::Ulid;
 
 use crate::calibration::guidance::Guidance;
 use crate::calibration::scene::correspondence::SceneImage;
-use crate::calibration::session::gate::KeptSoFar;
+use crate::calibration::session::gate::KeptViews;
 use crate::calibration::session::{Action, DepthFrame, KeptView, Session, SessionOver};
 use crate::calibration::session_record::{SessionRecord, SessionRequest, SessionState};
 use crate::calibration::view::{FrameFacts, View};
@@ -218,7 +218,7 @@ impl SessionThread {
         let metrics = Arc::clone(&instrument.metrics);
         let assembly = Arc::new(Assembly::new(plan, instrument.messages.clone(), metrics));
         if let Some(session) = &self.session {
-            assembly.set_kept(KeptSoFar::of(session));
+            assembly.set_kept(KeptViews::of(session));
         }
         for (place, camera) in instrument.cameras.iter().enumerate() {
             let search = CameraSearch { assembly: Arc::clone(&assembly), place };

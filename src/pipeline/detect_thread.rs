@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use crate::calibration::target::CalibrationTarget;
-use crate::pipeline::board_search::{BoardSearch, SearchManner};
+use crate::pipeline::board_search::{BoardSearch, SearchMode};
 use crate::pipeline::captured::{Captured, CapturedFrame};
 use crate::pipeline::event::{EventKind, FrameEvent};
 use crate::pipeline::guarded::guarded;
@@ -79,10 +79,10 @@ impl Detect {
     /// frames, each is searched in full, so that the result is bit for bit the same as for these
     /// images anywhere else.
     fn detect(&mut self, captured: &CapturedFrame, search: &CameraSearch) -> FrameDetection {
-        let manner = if captured.waits { SearchManner::Whole } else { SearchManner::Tracked };
+        let mode = if captured.waits { SearchMode::Whole } else { SearchMode::Tracked };
         let detection = match &search.assembly.target {
             CalibrationTarget::Board(board) => {
-                self.board_search.search(&captured.frame_set, board, manner)
+                self.board_search.search(&captured.frame_set, board, mode)
             }
             CalibrationTarget::Scene => search_scene(&captured.frame_set),
         };

@@ -40,7 +40,7 @@ pub(super) fn solve_job(
     let places = (0..).take_while(|place| session.camera(*place).is_some());
     let camera = |place: usize| {
         let stated = stated.get(place).and_then(Option::as_ref);
-        let seen = CameraSeen::of(session, board, place, auxiliary)?;
+        let seen = CameraObservations::of(session, board, place, auxiliary)?;
         let name = session.camera(place)?.summary().camera.clone();
         let given = record.request.held(&name);
         let camera = CameraFrameSets { given, ..seen.frame_sets(stated) };
@@ -94,7 +94,7 @@ fn depth_sensor(
 }
 
 /// The observations of one camera of a session.
-struct CameraSeen<'a> {
+struct CameraObservations<'a> {
     board: Target,
     /// Its views, each with its number in the session and that of its frame set.
     views: Vec<(u32, usize, &'a View)>,
@@ -103,7 +103,7 @@ struct CameraSeen<'a> {
     auxiliary: &'a [AuxiliaryView],
 }
 
-impl<'a> CameraSeen<'a> {
+impl<'a> CameraObservations<'a> {
     fn of(
         session: &'a Session,
         board: Target,

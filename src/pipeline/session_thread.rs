@@ -11,7 +11,7 @@ use tokio::sync::mpsc;
 
 use crate::calibration::admission::{AdmissionOptions, Rejection};
 use crate::calibration::drift::DriftWatch;
-use crate::calibration::session::gate::KeptSoFar;
+use crate::calibration::session::gate::KeptViews;
 use crate::calibration::session::{Action, Observed, Session};
 use crate::calibration::session_record::{SessionRecord, SessionState};
 use crate::imaging::factory::FactorySensor;
@@ -184,7 +184,7 @@ impl SessionThread {
         if let (Some(session), Some(assembly), false) =
             (&self.session, &self.assembly, observed.kept.is_empty())
         {
-            assembly.set_kept(KeptSoFar::of(session));
+            assembly.set_kept(KeptViews::of(session));
         }
         let waits = seen.frames.iter().flatten().any(|frame| frame.waits);
         let in_line = waits && self.estimates_decide();

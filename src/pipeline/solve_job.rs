@@ -1,7 +1,7 @@
 //! What is computed from a session's views: running estimates, and the result.
 
 use crate::calibration::result::Calibration;
-use crate::calibration::running_estimate::{EstimateSoFar, GoingOn, estimate_so_far};
+use crate::calibration::running_estimate::{Continuation, EstimateSoFar, estimate_so_far};
 use crate::calibration::scene::correspondence::SceneImage;
 use crate::calibration::scene::so_far::{SceneSoFar, scene_so_far};
 use crate::calibration::scene::{SceneDepth, SceneOptions, calibrate_scene};
@@ -30,7 +30,7 @@ pub(super) struct EstimateJob {
 #[derive(Debug)]
 enum EstimateInput {
     /// The views of a board, and what the previous estimate left for this one.
-    Board(CameraProblem, Option<Box<GoingOn>>),
+    Board(CameraProblem, Option<Box<Continuation>>),
     /// The key frames of a scene.
     Scene(Vec<SceneImage>),
 }
@@ -65,7 +65,7 @@ impl EstimateJob {
             input: match session.record().request.target {
                 CalibrationTarget::Board(board) => EstimateInput::Board(
                     problem_of(part, &board),
-                    part.going_on().cloned().map(Box::new),
+                    part.continuation().cloned().map(Box::new),
                 ),
                 CalibrationTarget::Scene => {
                     let images = part.key_frames().iter().map(|key| key.image.clone());
@@ -77,8 +77,8 @@ impl EstimateJob {
 
     pub(super) fn estimate(&self) -> Estimate {
         match &self.input {
-            EstimateInput::Board(problem, going_on) => {
-                Estimate::Board(self.of_board(problem, going_on.as_deref()).map(Box::new))
+            EstimateInput::Board(problem, continuation) => {
+                Estimate::Board(self.of_board(problem, continuation.as_deref()).map(Box::new))
             }
             EstimateInput::Scene(images) => {
                 let so_far = guarded(|| scene_so_far(images, self.lens));
@@ -92,9 +92,9 @@ impl EstimateJob {
     fn of_board(
         &self,
         problem: &CameraProblem,
-        going_on: Option<&GoingOn>,
+        continuation: Option<&Continuation>,
     ) -> Option<EstimateSoFar> {
-        match guarded(|| estimate_so_far(problem, self.lens, going_on)) {
+        match guarded(|| estimate_so_far(problem, self.lens, continuation)) {
             Ok(Ok(estimate)) => {
                 let running = &estimate.running;
                 (running.uncertainty_px.worst.is_finite() && running.rms_px.is_finite())

@@ -2,7 +2,7 @@
 //! what solves of them scatter by.
 
 use nalgebra::{DMatrix, DVector, Matrix6, Point3, Vector6};
-use plumb::calibration::information::depth_goal::{DepthBesideColor, DepthGoal};
+use plumb::calibration::information::depth_goal::{DepthColorPair, DepthGoal};
 use plumb::calibration::information::depth_information::DepthInformation;
 use plumb::calibration::information::infrared_corners::InfraredNormal;
 use plumb::calibration::information::lens_information::{LensInformation, open_parameters};
@@ -95,7 +95,7 @@ fn compared(rig: &SeededRgbd, views: usize, seed: u64) -> [f64; 2] {
     let covariance: Matrix6<f64> =
         known.covariance().unwrap().fixed_view::<6, 6>(at, at).into_owned();
     let (middle, z_m) = (Pixel::new(160.0, 120.0), 0.6);
-    let sensors = DepthBesideColor {
+    let sensors = DepthColorPair {
         depth: &depth,
         depth_size: rig.depth.size,
         color: &rig.color.lens,

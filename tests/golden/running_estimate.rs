@@ -15,8 +15,8 @@ fn walk(problem: &CameraProblem, lens: LensChoice) -> Vec<(CameraProblem, Option
     let mut newest: Option<EstimateSoFar> = None;
     let estimates = (3..=problem.views.len()).map(|views| {
         let so_far = CameraProblem { views: problem.views[..views].to_vec(), ..problem.clone() };
-        let going_on = newest.as_ref().and_then(|newest| newest.going_on.as_ref());
-        let estimate = estimate_so_far(&so_far, lens, going_on).ok();
+        let continuation = newest.as_ref().and_then(|newest| newest.continuation.as_ref());
+        let estimate = estimate_so_far(&so_far, lens, continuation).ok();
         newest = estimate.clone().or_else(|| newest.take());
         (so_far, estimate)
     });
@@ -67,12 +67,13 @@ fn it_is_what_a_solve_from_nothing_gives_after_every_view() {
         let [lens, uncertainty] = furthest_from_anew(&walk);
         println!("{name}: {lens:.1e} standard deviations, {uncertainty:.1e} of the uncertainty");
         assert!(lens < 0.02 && uncertainty < 1e-3, "{name}: {lens} std, {uncertainty}");
-        let gone_on = walk.iter().filter(|(_, estimate)| {
-            let going_on = estimate.as_ref().and_then(|estimate| estimate.going_on.as_ref());
-            going_on.is_some_and(|going_on| !going_on.was_made_anew())
+        let continued = walk.iter().filter(|(_, estimate)| {
+            let continuation =
+                estimate.as_ref().and_then(|estimate| estimate.continuation.as_ref());
+            continuation.is_some_and(|continuation| !continuation.is_from_scratch())
         });
-        let gone_on = gone_on.count();
-        assert!(gone_on >= 25, "{name}: gone on {gone_on} times of 38, where nothing is wrong");
+        let continued = continued.count();
+        assert!(continued >= 25, "{name}: gone on {continued} times of 38, where nothing is wrong");
         assert!(
             self::walk(&problem, LensChoice::Model(model)) == walk,
             "{name}: the same views, another estimate"

@@ -21,8 +21,8 @@ const LENS_LIST: &str = "src/geometry/lens/mod.rs";
 
 /// Files that work with one model, and would not change for another. It only ever gets shorter.
 const USE_ONE_MODEL: &[(&str, &str)] = &[
-    ("src/calibration/information/teaching.rs", "Brown"),
-    ("src/calibration/information/teaching.rs", "KannalaBrandt"),
+    ("src/calibration/information/camera_information.rs", "Brown"),
+    ("src/calibration/information/camera_information.rs", "KannalaBrandt"),
     // The lenses of simulated sessions.
     ("src/cli/simulate/operated.rs", "Brown"),
     ("src/cli/simulate/operated.rs", "KannalaBrandt"),

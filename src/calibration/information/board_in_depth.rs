@@ -1,7 +1,7 @@
 //! What depth and infrared show of one view of a board.
 
+use crate::calibration::information::camera_information::ViewInformation;
 use crate::calibration::information::depth_fit::sample;
-use crate::calibration::information::teaching::TaughtView;
 use crate::estimation::rgbd::plane_information::TileSample;
 use crate::geometry::depth_camera::DepthTile;
 
@@ -11,7 +11,7 @@ pub struct BoardInDepth {
     /// The board's surface; `None` where depth did not measure it.
     pub surface: Option<MeasuredView>,
     /// The corners that infrared sees; `None` where it sees no board.
-    pub infrared: Option<TaughtView>,
+    pub infrared: Option<ViewInformation>,
 }
 
 /// The board's surface in the depth image of one view.

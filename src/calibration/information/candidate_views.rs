@@ -91,7 +91,7 @@ impl BoardPoints {
 
 /// How a board is held in the image, independent of the camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Holding {
+pub struct PlacementInImage {
     /// Its place in the room that it leaves in the image, across and down, 0 to 1.
     pub at: [f64; 2],
     /// The root of the fraction of the image that its corners would span if it faced the camera, 0
@@ -134,7 +134,7 @@ const MOST_CORNERS: usize = 48;
 const GENERATORS: [f64; 6] =
     [0.898_653_9, 0.807_578_8, 0.725_733_8, 0.652_183_5, 0.586_087_2, 0.526_689_6];
 
-impl Holding {
+impl PlacementInImage {
     /// The `index`-th of a sequence that covers the whole range evenly.
     pub fn of_sequence(index: usize) -> Self {
         let part = |axis: usize| (0.5 + GENERATORS[axis] * (index as f64 + 1.0)).fract();
@@ -174,11 +174,11 @@ impl Holding {
 #[derive(Debug, Clone, PartialEq)]
 pub struct CandidateView {
     /// How the board would be held.
-    pub holding: Holding,
+    pub placement: PlacementInImage,
     /// The board's pose.
     pub camera_from_board: Pose,
     /// The probability that all of the board is visible when it is held by hand near this pose.
-    pub likely: f64,
+    pub visibility: f64,
     /// Its corners with their expected noise; with many, every n-th one has the weight of n.
     pub corners: Vec<WeightedCorner>,
 }
@@ -241,24 +241,28 @@ pub fn effort(here_from_board: &Pose, there_from_board: &Pose, middle: Point3<f6
 impl CandidateSpace<'_> {
     /// The view of a board held like this; `None` in avoided poses, and where the detector would
     /// not find all of it.
-    pub fn view(&self, holding: &Holding) -> Option<CandidateView> {
-        let camera_from_board = self.camera_from_board(holding)?;
+    pub fn view(&self, placement: &PlacementInImage) -> Option<CandidateView> {
+        let camera_from_board = self.camera_from_board(placement)?;
         let is_avoided = |avoided: &AvoidedPose| {
             effort(&avoided.camera_from_board, &camera_from_board, self.board.middle())
                 < avoided.effort
         };
-        let may_be_asked_for = !self.avoided.iter().any(is_avoided);
-        may_be_asked_for.then(|| self.seen(holding, camera_from_board)).flatten()
+        let may_be_suggested = !self.avoided.iter().any(is_avoided);
+        may_be_suggested.then(|| self.seen(placement, camera_from_board)).flatten()
     }
 
-    /// The view of a board at `camera_from_board`, which is held as `holding` before another
+    /// The view of a board at `camera_from_board`, which is held as `placement` before another
     /// camera; `None` where the detector would not find all of it.
-    pub fn view_at(&self, holding: &Holding, camera_from_board: Pose) -> Option<CandidateView> {
+    pub fn view_at(
+        &self,
+        placement: &PlacementInImage,
+        camera_from_board: Pose,
+    ) -> Option<CandidateView> {
         let [low, high] = self.bounding_box(&camera_from_board)?;
-        self.is_inside([low, high]).then(|| self.seen(holding, camera_from_board)).flatten()
+        self.is_inside([low, high]).then(|| self.seen(placement, camera_from_board)).flatten()
     }
 
-    fn seen(&self, holding: &Holding, camera_from_board: Pose) -> Option<CandidateView> {
+    fn seen(&self, placement: &PlacementInImage, camera_from_board: Pose) -> Option<CandidateView> {
         let step = self.board.points.len().div_ceil(MOST_CORNERS).max(1);
         let each = (self.board.points.iter().step_by(step).count() as f64
             / self.board.points.len() as f64)
@@ -286,8 +290,8 @@ impl CandidateSpace<'_> {
         if 2 * corners.len() < points.len() {
             return None;
         }
-        let likely = self.likely(&camera_from_board)?;
-        Some(CandidateView { holding: *holding, camera_from_board, likely, corners })
+        let visibility = self.visibility(&camera_from_board)?;
+        Some(CandidateView { placement: *placement, camera_from_board, visibility, corners })
     }
 
     /// The pixels of the board's outer corners: the one at its least x and y first, then along x.
@@ -301,20 +305,20 @@ impl CandidateSpace<'_> {
 
     /// Places the board so that its bounding box in the image lies at the fraction `at` of the room
     /// that is left, and farther away if there is no room.
-    fn camera_from_board(&self, holding: &Holding) -> Option<Pose> {
+    fn camera_from_board(&self, placement: &PlacementInImage) -> Option<Pose> {
         let [width, height] = [self.size.width, self.size.height].map(f64::from);
         let focal_px = 0.5 * (self.lens.matrix.fx + self.lens.matrix.fy);
         let mut distance_m =
-            self.board.mean_extent_m() * focal_px / (holding.share * (width * height).sqrt());
+            self.board.mean_extent_m() * focal_px / (placement.share * (width * height).sqrt());
         let (middle, mut target) = (self.board.middle().coords, self.size.center());
         let mut inside = None;
         for _ in 0..10 {
             let bearing = self.lens.bearing_from_pixel(target)?;
             let facing = UnitQuaternion::rotation_between(&Vector3::z(), &bearing)?;
-            let axis = Vector3::new(holding.azimuth.cos(), holding.azimuth.sin(), 0.0);
+            let axis = Vector3::new(placement.azimuth.cos(), placement.azimuth.sin(), 0.0);
             let rotation = facing
-                * UnitQuaternion::from_scaled_axis(axis * holding.tilt)
-                * UnitQuaternion::from_scaled_axis(Vector3::z() * holding.roll)
+                * UnitQuaternion::from_scaled_axis(axis * placement.tilt)
+                * UnitQuaternion::from_scaled_axis(Vector3::z() * placement.roll)
                 * self.base;
             let camera_from_board =
                 Pose::new(rotation, bearing.into_inner() * distance_m - rotation * middle);
@@ -333,8 +337,8 @@ impl CandidateSpace<'_> {
                 inside = Some(camera_from_board);
             }
             let moved = [
-                BORDER_PX - over_px[0] + holding.at[0] * rooms[0] - low.x,
-                BORDER_PX - over_px[1] + holding.at[1] * rooms[1] - low.y,
+                BORDER_PX - over_px[0] + placement.at[0] * rooms[0] - low.x,
+                BORDER_PX - over_px[1] + placement.at[1] * rooms[1] - low.y,
             ];
             if moved[0].hypot(moved[1]) < 2.0 && inside.is_some() {
                 break;
@@ -359,7 +363,7 @@ impl CandidateSpace<'_> {
 
     /// The probability that a board that is aimed there is completely visible, where it has to be:
     /// hands miss the aim, with a normal distribution per axis.
-    fn likely(&self, camera_from_board: &Pose) -> Option<f64> {
+    fn visibility(&self, camera_from_board: &Pose) -> Option<f64> {
         if self.board.has_markers {
             return Some(1.0);
         }

@@ -3,7 +3,7 @@
 
 use nalgebra::{DMatrix, DVector, Vector6};
 
-use crate::calibration::information::teaching::TaughtView;
+use crate::calibration::information::camera_information::ViewInformation;
 use crate::calibration::information::view_information::inverse_of_pose;
 use crate::estimation::rgbd::plane_information::{
     PlacedDepth, PlaneNormal, TileSample, moved_board,
@@ -25,7 +25,7 @@ pub(super) struct FittedDepth {
 }
 
 /// One view: the corners in color, and the tiles on the board's surface.
-type PlaneView<'a> = (&'a TaughtView, &'a [DepthTile]);
+type PlaneView<'a> = (&'a ViewInformation, &'a [DepthTile]);
 
 /// As in the solve: the first round finds the tiles that do not lie on the plane.
 const ROUNDS: usize = 2;
@@ -75,8 +75,8 @@ impl FittedDepth {
     /// Levenberg–Marquardt until the cost no longer falls: far from the solution, or in directions
     /// that few views leave open, a full Gauss–Newton step overshoots.
     fn settle(&mut self, prior: &DMatrix<f64>, views: &[PlaneView<'_>]) -> Option<()> {
-        for (at, (taught, tiles)) in views.iter().enumerate() {
-            if self.normal((*taught, *tiles), &self.used[at]).is_none() {
+        for (at, (in_color, tiles)) in views.iter().enumerate() {
+            if self.normal((*in_color, *tiles), &self.used[at]).is_none() {
                 self.used[at].fill(false);
             }
         }
@@ -113,10 +113,10 @@ impl FittedDepth {
         let mut normal = prior.clone();
         let mut gradient = prior * &self.moved;
         let mut cost = 0.5 * self.moved.dot(&gradient);
-        for ((taught, tiles), used) in views.iter().zip(&self.used) {
+        for ((in_color, tiles), used) in views.iter().zip(&self.used) {
             // A step that leaves the lens's valid region is rejected.
-            let planes = self.normal((*taught, *tiles), used)?;
-            let inverse = inverse_of_pose(&(taught.normal().by_pose + planes.by_pose))?;
+            let planes = self.normal((*in_color, *tiles), used)?;
+            let inverse = inverse_of_pose(&(in_color.normal().by_pose + planes.by_pose))?;
             let through = &planes.coupling * inverse;
             normal += &planes.by_depth - &through * planes.coupling.transpose();
             gradient += &planes.gradient - through * planes.pose_gradient;
@@ -126,21 +126,21 @@ impl FittedDepth {
         cost.is_finite().then_some(DepthEquations { normal, gradient, cost })
     }
 
-    fn normal(&self, (taught, tiles): PlaneView<'_>, used: &[bool]) -> Option<PlaneNormal> {
+    fn normal(&self, (in_color, tiles): PlaneView<'_>, used: &[bool]) -> Option<PlaneNormal> {
         let variance = self.scatter[0] * self.scatter[0];
-        PlaneNormal::of(&self.depth, &taught.centered(), &sample(tiles, used), variance)
+        PlaneNormal::of(&self.depth, &in_color.centered(), &sample(tiles, used), variance)
     }
 
     /// Determines which tiles lie on their planes, and their scatter. The boards' poses are those
     /// that corners and planes give together.
     fn judge(&mut self, views: &[PlaneView<'_>]) -> Option<()> {
         let residuals: Vec<Vec<f64>> = (views.iter().zip(&self.used))
-            .map(|((taught, tiles), used)| {
-                let step = self.normal((*taught, *tiles), used).and_then(|planes| {
-                    let inverse = inverse_of_pose(&(taught.normal().by_pose + planes.by_pose))?;
+            .map(|((in_color, tiles), used)| {
+                let step = self.normal((*in_color, *tiles), used).and_then(|planes| {
+                    let inverse = inverse_of_pose(&(in_color.normal().by_pose + planes.by_pose))?;
                     Some(-(inverse * planes.pose_gradient))
                 });
-                let board = moved_board(&taught.centered(), &step.unwrap_or(Vector6::zeros()));
+                let board = moved_board(&in_color.centered(), &step.unwrap_or(Vector6::zeros()));
                 let depth_from_board = self.depth.depth_from_color * board;
                 let residual =
                     |tile| self.depth.residual(&depth_from_board, tile).unwrap_or(f64::INFINITY);

@@ -32,7 +32,7 @@ const LEAST_SEEN: usize = 4;
 
 /// A depth camera beside a color camera.
 #[derive(Debug, Clone, Copy)]
-pub struct DepthBesideColor<'a> {
+pub struct DepthColorPair<'a> {
     /// The depth camera with its pose relative to color.
     pub depth: &'a PlacedDepth,
     /// The size of its images.
@@ -49,11 +49,11 @@ impl DepthGoal {
     /// The uncertainty of depth's pixels in color at each of `distances_m`, reduced to `figure`.
     /// `None` where no pixel projects into color.
     pub fn new(
-        sensors: DepthBesideColor<'_>,
+        sensors: DepthColorPair<'_>,
         distances_m: &[f64],
         figure: GoalFigure,
     ) -> Option<Self> {
-        let DepthBesideColor { depth, depth_size, color, free, color_size } = sensors;
+        let DepthColorPair { depth, depth_size, color, free, color_size } = sensors;
         let grid = PixelGrid::over(depth_size, COLUMNS);
         let (mut by_depth, mut by_color, mut counts) = (Vec::new(), Vec::new(), Vec::new());
         for z_m in distances_m {

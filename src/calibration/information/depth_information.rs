@@ -125,9 +125,9 @@ impl DepthInformation {
     pub fn of_view(&self, color: &ViewNormal, planes: &PlaneNormal) -> Option<DepthNormal> {
         let of_surface = (&planes.by_depth, &planes.coupling, &planes.by_pose);
         let mut view = self.without_board(color, of_surface)?;
-        if let Some(taught) = self.by_infrared {
-            view.by_depth.view_mut((0, 0), (taught, taught)).fill(0.0);
-            view.by_color.view_mut((0, 0), (taught, self.free.len())).fill(0.0);
+        if let Some(corner_parameters) = self.by_infrared {
+            view.by_depth.view_mut((0, 0), (corner_parameters, corner_parameters)).fill(0.0);
+            view.by_color.view_mut((0, 0), (corner_parameters, self.free.len())).fill(0.0);
         }
         Some(view)
     }
@@ -141,7 +141,7 @@ impl DepthInformation {
     ) -> Option<DepthNormal> {
         let of_corners = (&infrared.by_depth, &infrared.coupling, &infrared.by_pose);
         let by_corners = self.without_board(color, of_corners)?;
-        let (Some(planes), Some(taught)) = (planes, self.by_infrared) else {
+        let (Some(planes), Some(corner_parameters)) = (planes, self.by_infrared) else {
             return Some(by_corners);
         };
         let both = (
@@ -150,7 +150,8 @@ impl DepthInformation {
             &(infrared.by_pose + planes.by_pose),
         );
         let mut all = self.without_board(color, both)?;
-        let (lens_and_place, free) = ((taught, taught), (taught, self.free.len()));
+        let (lens_and_place, free) =
+            ((corner_parameters, corner_parameters), (corner_parameters, self.free.len()));
         all.by_depth
             .view_mut((0, 0), lens_and_place)
             .copy_from(&by_corners.by_depth.view((0, 0), lens_and_place));

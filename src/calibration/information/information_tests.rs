@@ -4,11 +4,11 @@
 use nalgebra::{DMatrix, Point3, UnitQuaternion, Vector3};
 
 use crate::calibration::information::candidate_views::{
-    BoardPoints, CandidateSpace, Holding, base_rotation,
+    BoardPoints, CandidateSpace, PlacementInImage, base_rotation,
 };
 use crate::calibration::information::corner_noise::{CornerNoise, NoiseSample};
 use crate::calibration::information::lens_information::{LensInformation, open_parameters};
-use crate::calibration::information::movement::{Held, next_movement};
+use crate::calibration::information::movement::{PlacementInCamera, next_movement};
 use crate::calibration::information::next_view::suggest_view;
 use crate::calibration::information::pool::{Pool, information_in};
 use crate::calibration::information::projection_goal::{GoalFigure, ProjectionGoal};
@@ -47,7 +47,7 @@ fn poses(lens: &Lens, indices: impl Iterator<Item = usize>) -> Vec<Pose> {
         base: UnitQuaternion::identity(),
         avoided: &[],
     };
-    let view = |index| space.view(&Holding::of_sequence(index));
+    let view = |index| space.view(&PlacementInImage::of_sequence(index));
     indices.filter_map(view).map(|view| view.camera_from_board).collect()
 }
 
@@ -209,7 +209,7 @@ fn a_held_compensation_gives_the_map_that_it_was_taken_from() {
         let space = space(&lens, &board, &noise);
         let mut known = LensInformation::prior(lens, SIZE);
         let mut information = (0..40).filter_map(|index| {
-            let view = space.view(&Holding::of_sequence(index))?;
+            let view = space.view(&PlacementInImage::of_sequence(index))?;
             let free = open_parameters(lens.model());
             view_information(&lens, &free, &view.camera_from_board, &view.corners)
         });
@@ -240,7 +240,11 @@ fn frontal_views_are_followed_by_a_tilted_one() {
     let (board, noise) = (BoardPoints::of_chessboard(&board()), CornerNoise::default());
     let space = space(&lens, &board, &noise);
     let frontal = (0..20).filter_map(|index| {
-        space.view(&Holding { tilt: 0.03, roll: 0.0, ..Holding::of_sequence(index) })
+        space.view(&PlacementInImage {
+            tilt: 0.03,
+            roll: 0.0,
+            ..PlacementInImage::of_sequence(index)
+        })
     });
     let mut known = LensInformation::prior(lens, SIZE);
     for view in frontal {
@@ -250,7 +254,7 @@ fn frontal_views_are_followed_by_a_tilted_one() {
     }
     let goal = ProjectionGoal::new(&lens, SIZE, GoalFigure::Median);
     let next = suggest_view(&known, &goal, &space, None, Some(0.05)).unwrap();
-    let held = Held::of(&space, &next.camera_from_board).unwrap();
+    let held = PlacementInCamera::of(&space, &next.camera_from_board).unwrap();
     assert!(held.tilt.norm() > 0.35, "{held:?}");
     assert!(next.expected_uncertainty_px.unwrap() < 0.8 * next.uncertainty_px, "{next:?}");
     assert!(next.outline_px.iter().all(|corner| SIZE.contains(*corner)));
@@ -265,26 +269,28 @@ fn following_suggestions_teaches_more_than_any_order_of_the_sequence() {
     let space = space(&lens, &board, &noise);
     let goal = ProjectionGoal::new(&lens, SIZE, GoalFigure::Worst);
     let prior = LensInformation::prior(lens, SIZE);
-    let taught = |known: &LensInformation, camera_from_board: &Pose, corners: &[WeightedCorner]| {
-        known.with(&view_information(&lens, &known.free, camera_from_board, corners).unwrap())
-    };
+    let informed =
+        |known: &LensInformation, camera_from_board: &Pose, corners: &[WeightedCorner]| {
+            known.with(&view_information(&lens, &known.free, camera_from_board, corners).unwrap())
+        };
     let mut followed = prior.clone();
     for _ in 0..8 {
         let next = suggest_view(&followed, &goal, &space, None, None).unwrap();
         let corners: Vec<_> = (board.points.iter())
             .map(|point| WeightedCorner { point_in_board: *point, std_px: 0.1 })
             .collect();
-        followed = taught(&followed, &next.camera_from_board, &corners);
+        followed = informed(&followed, &next.camera_from_board, &corners);
     }
     let figure =
         |known: &LensInformation| goal.uncertainty_px(&known.covariance().unwrap()).unwrap();
     for first in 0..6 {
-        let views = (20 * first..).filter_map(|index| space.view(&Holding::of_sequence(index)));
+        let views =
+            (20 * first..).filter_map(|index| space.view(&PlacementInImage::of_sequence(index)));
         let wandered = views.take(8).fold(prior.clone(), |known, view| {
             let corners: Vec<_> = (board.points.iter())
                 .map(|point| WeightedCorner { point_in_board: *point, std_px: 0.1 })
                 .collect();
-            taught(&known, &view.camera_from_board, &corners)
+            informed(&known, &view.camera_from_board, &corners)
         });
         let [with, without] = [&followed, &wandered].map(figure);
         assert!(with < 0.8 * without, "from {first}: {with} and {without}");

@@ -22,26 +22,28 @@
 //! | which of them to request, and how many more, whatever they determine | `view_search` |
 //! | which view to ask for so that a lens is known | [`next_view`] |
 //! | how to get there, in words | [`movement`] |
-//! | the information in a session's views so far, frame by frame | [`teaching`] |
+//! | the information in a session's views so far, frame by frame | [`camera_information`] |
 //! | what shared views say of two cameras and their relative pose | [`pair_information`] |
 //! | how uncertain it is where one camera sees what another sees | [`transfer_goal`] |
 //! | which view to ask for that both see | [`next_shared_view`] |
-//! | the information in a session's views about two cameras together | [`pair_teaching`] |
+//! | the information in a session's views about two cameras together | [`camera_pair_information`] |
 //! | what planes say of a depth camera beside color | [`depth_information`] |
 //! | what corners that infrared sees say of it | [`infrared_corners`] |
 //! | how uncertain it is where color sees what depth measures | [`depth_goal`] |
 //! | what depth would measure of a board | [`expected_depth`] |
 //! | which view to ask for so that depth is known | [`next_depth_view`] |
-//! | a session's information on depth | [`depth_teaching`], [`board_in_depth`], `depth_fit` |
+//! | a session's information on depth | [`depth_camera_information`], [`board_in_depth`], `depth_fit` |
 //! | which images of a pool to take | [`pool`] |
 
 pub mod board_in_depth;
+pub mod camera_information;
+pub mod camera_pair_information;
 pub mod candidate_views;
 pub mod corner_noise;
+pub mod depth_camera_information;
 mod depth_fit;
 pub mod depth_goal;
 pub mod depth_information;
-pub mod depth_teaching;
 pub mod expected_depth;
 pub mod infrared_corners;
 pub mod lens_information;
@@ -50,10 +52,8 @@ pub mod next_depth_view;
 pub mod next_shared_view;
 pub mod next_view;
 pub mod pair_information;
-pub mod pair_teaching;
 pub mod pool;
 pub mod projection_goal;
-pub mod teaching;
 pub mod transfer_goal;
 pub mod view_information;
 mod view_search;

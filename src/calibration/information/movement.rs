@@ -9,7 +9,7 @@ use crate::geometry::pose::Pose;
 
 /// How a board is held in front of a camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Held {
+pub struct PlacementInCamera {
     /// The pixel of its middle.
     pub middle: Pixel,
     /// The distance of its middle, in meters.
@@ -31,7 +31,7 @@ const ROLL_STEP: f64 = 0.35;
 /// The board is in place when it is within this many steps in each respect.
 const ARRIVED: f64 = 1.0;
 
-impl Held {
+impl PlacementInCamera {
     /// How a board at `camera_from_board` is held; `None` where its middle is not visible.
     pub fn of(space: &CandidateSpace<'_>, camera_from_board: &Pose) -> Option<Self> {
         let middle_in_camera = *camera_from_board * space.board.middle();
@@ -57,7 +57,10 @@ pub fn next_movement(
     here_from_board: &Pose,
     there_from_board: &Pose,
 ) -> Option<String> {
-    let (here, there) = (Held::of(space, here_from_board)?, Held::of(space, there_from_board)?);
+    let (here, there) = (
+        PlacementInCamera::of(space, here_from_board)?,
+        PlacementInCamera::of(space, there_from_board)?,
+    );
     let displacement =
         (there.middle.to_vector() - here.middle.to_vector()) / space.size.diagonal_px();
     let nearer = (here.distance_m / there.distance_m).ln();
@@ -83,7 +86,7 @@ pub fn next_movement(
 /// Where a board should be held, as a sentence without its end, for an operator whose board is not
 /// in view.
 pub fn description(space: &CandidateSpace<'_>, there_from_board: &Pose) -> Option<String> {
-    let there = Held::of(space, there_from_board)?;
+    let there = PlacementInCamera::of(space, there_from_board)?;
     let part = [
         there.middle.x / f64::from(space.size.width),
         there.middle.y / f64::from(space.size.height),

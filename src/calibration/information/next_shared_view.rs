@@ -3,12 +3,12 @@
 
 use nalgebra::{DMatrix, Point3};
 
-use crate::calibration::information::candidate_views::{CandidateSpace, Holding};
+use crate::calibration::information::candidate_views::{CandidateSpace, PlacementInImage};
 use crate::calibration::information::pair_information::PairInformation;
 use crate::calibration::information::transfer_goal::TransferGoal;
 use crate::calibration::information::view_information::ViewNormal;
 use crate::calibration::information::view_search::{
-    Lesson, LessonCandidate, LessonFigures, SearchSize, find_view,
+    Objective, ObjectiveCandidate, ObjectiveValues, SearchSize, find_view,
 };
 use crate::geometry::pose::Pose;
 
@@ -35,20 +35,20 @@ const SIZE: SearchSize =
     SearchSize { sequence: 80, in_corners: 12, refined: [(8, 0.12), (8, 0.05)] };
 
 /// The search of a view for two cameras.
-struct PairLesson<'a> {
+struct PairObjective<'a> {
     known: &'a PairInformation,
     goal: &'a TransferGoal,
     spaces: [&'a CandidateSpace<'a>; 2],
 }
 
 /// A board in front of both.
-struct BeforeBoth {
+struct PairCandidate {
     camera_from_board: [Pose; 2],
     normals: [ViewNormal; 2],
 }
 
-impl Lesson for PairLesson<'_> {
-    type View = BeforeBoth;
+impl Objective for PairObjective<'_> {
+    type View = PairCandidate;
     type Information = DMatrix<f64>;
     type Known = DMatrix<f64>;
 
@@ -58,23 +58,27 @@ impl Lesson for PairLesson<'_> {
         &self.known.matrix
     }
 
-    fn view(&self, image: usize, holding: &Holding) -> Option<LessonCandidate<BeforeBoth>> {
-        let own = self.spaces[image].view(holding)?;
+    fn view(
+        &self,
+        image: usize,
+        placement: &PlacementInImage,
+    ) -> Option<ObjectiveCandidate<PairCandidate>> {
+        let own = self.spaces[image].view(placement)?;
         let other_from_camera = [self.known.b_from_a, self.known.b_from_a.inverse()][image];
         let other_from_board = other_from_camera * own.camera_from_board;
-        let other = self.spaces[1 - image].view_at(holding, other_from_board)?;
-        let likely = own.likely.min(other.likely);
+        let other = self.spaces[1 - image].view_at(placement, other_from_board)?;
+        let visibility = own.visibility.min(other.visibility);
         let views = if image == 0 { [own, other] } else { [other, own] };
         let normals = [0, 1].map(|k| {
             ViewNormal::of(self.spaces[k].lens, &views[k].camera_from_board, &views[k].corners)
         });
         let camera_from_board = views.map(|view| view.camera_from_board);
         let first_from_board = camera_from_board[0];
-        let view = BeforeBoth { camera_from_board, normals };
-        Some(LessonCandidate { view, camera_from_board: first_from_board, likely })
+        let view = PairCandidate { camera_from_board, normals };
+        Some(ObjectiveCandidate { view, camera_from_board: first_from_board, visibility })
     }
 
-    fn information(&self, view: &BeforeBoth) -> Option<DMatrix<f64>> {
+    fn information(&self, view: &PairCandidate) -> Option<DMatrix<f64>> {
         self.known.of_view([&view.normals[0], &view.normals[1]])
     }
 
@@ -82,10 +86,10 @@ impl Lesson for PairLesson<'_> {
         known + view * part
     }
 
-    fn uncertainty_px(&self, known: &DMatrix<f64>) -> Option<LessonFigures> {
+    fn uncertainty_px(&self, known: &DMatrix<f64>) -> Option<ObjectiveValues> {
         let std_px = self.goal.std_px(known)?;
         let (figure, criterion) = (self.goal.figure_px(&std_px), self.goal.criterion_px(&std_px));
-        Some(LessonFigures { figure, criterion })
+        Some(ObjectiveValues { figure, criterion })
     }
 
     fn middle(&self) -> Point3<f64> {
@@ -101,10 +105,10 @@ pub fn suggest_shared_view(
     spaces: [&CandidateSpace<'_>; 2],
     (from, goal_px): (Option<&Pose>, Option<f64>),
 ) -> Option<SharedView> {
-    let lesson = PairLesson { known, goal, spaces };
-    let now = lesson.uncertainty_px(&known.matrix)?;
-    let found = find_view(&lesson, &SIZE, from, goal_px)?;
-    let after = lesson.uncertainty_px(&(&known.matrix + &found.information))?;
+    let objective = PairObjective { known, goal, spaces };
+    let now = objective.uncertainty_px(&known.matrix)?;
+    let found = find_view(&objective, &SIZE, from, goal_px)?;
+    let after = objective.uncertainty_px(&(&known.matrix + &found.information))?;
     Some(SharedView {
         camera_from_board: found.view.camera_from_board,
         normals: found.view.normals,

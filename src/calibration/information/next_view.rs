@@ -3,12 +3,14 @@
 
 use nalgebra::{DMatrix, Point3};
 
-use crate::calibration::information::candidate_views::{CandidateSpace, CandidateView, Holding};
+use crate::calibration::information::candidate_views::{
+    CandidateSpace, CandidateView, PlacementInImage,
+};
 use crate::calibration::information::lens_information::LensInformation;
 use crate::calibration::information::projection_goal::ProjectionGoal;
 use crate::calibration::information::view_information::view_information;
 use crate::calibration::information::view_search::{
-    Lesson, LessonCandidate, LessonFigures, SearchSize, find_view,
+    Objective, ObjectiveCandidate, ObjectiveValues, SearchSize, find_view,
 };
 use crate::estimation::uncertainty::CompensatedSamples;
 use crate::geometry::pixel::Pixel;
@@ -41,14 +43,14 @@ const SIZE: SearchSize =
     SearchSize { sequence: 112, in_corners: 24, refined: [(12, 0.12), (12, 0.05)] };
 
 /// The search of a view for one camera's lens.
-struct LensLesson<'a> {
+struct LensObjective<'a> {
     known: &'a LensInformation,
     goal: &'a ProjectionGoal,
     near: CompensatedSamples,
     space: &'a CandidateSpace<'a>,
 }
 
-impl Lesson for LensLesson<'_> {
+impl Objective for LensObjective<'_> {
     type View = CandidateView;
     type Information = DMatrix<f64>;
     type Known = LensInformation;
@@ -57,10 +59,14 @@ impl Lesson for LensLesson<'_> {
         self.known
     }
 
-    fn view(&self, _image: usize, holding: &Holding) -> Option<LessonCandidate<CandidateView>> {
-        let view = self.space.view(holding)?;
-        let (camera_from_board, likely) = (view.camera_from_board, view.likely);
-        Some(LessonCandidate { view, camera_from_board, likely })
+    fn view(
+        &self,
+        _image: usize,
+        placement: &PlacementInImage,
+    ) -> Option<ObjectiveCandidate<CandidateView>> {
+        let view = self.space.view(placement)?;
+        let (camera_from_board, visibility) = (view.camera_from_board, view.visibility);
+        Some(ObjectiveCandidate { view, camera_from_board, visibility })
     }
 
     fn information(&self, view: &CandidateView) -> Option<DMatrix<f64>> {
@@ -72,10 +78,10 @@ impl Lesson for LensLesson<'_> {
         known.with(&(view * part))
     }
 
-    fn uncertainty_px(&self, known: &LensInformation) -> Option<LessonFigures> {
+    fn uncertainty_px(&self, known: &LensInformation) -> Option<ObjectiveValues> {
         let map = self.near.uncertainty(&known.covariance()?);
         let (figure, criterion) = (self.goal.figure_px(&map)?, self.goal.criterion_px(&map)?);
-        Some(LessonFigures { figure, criterion })
+        Some(ObjectiveValues { figure, criterion })
     }
 
     fn middle(&self) -> Point3<f64> {
@@ -93,8 +99,8 @@ pub fn suggest_view(
     goal_px: Option<f64>,
 ) -> Option<SuggestedView> {
     let now = goal.map(&known.covariance()?)?;
-    let lesson = LensLesson { known, goal, near: goal.near(&now)?, space };
-    let found = find_view(&lesson, &SIZE, from, goal_px)?;
+    let objective = LensObjective { known, goal, near: goal.near(&now)?, space };
+    let found = find_view(&objective, &SIZE, from, goal_px)?;
     let after = goal.map(&known.covariance_with(&found.information)?)?;
     Some(SuggestedView {
         camera_from_board: found.view.camera_from_board,

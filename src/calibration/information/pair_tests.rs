@@ -4,7 +4,9 @@
 
 use nalgebra::{DMatrix, DVector, Point3, UnitQuaternion, Vector3, Vector6};
 
-use crate::calibration::information::candidate_views::{BoardPoints, CandidateSpace, Holding};
+use crate::calibration::information::candidate_views::{
+    BoardPoints, CandidateSpace, PlacementInImage,
+};
 use crate::calibration::information::corner_noise::CornerNoise;
 use crate::calibration::information::information_tests::{SIZE, board, fisheye, lens, noise};
 use crate::calibration::information::lens_information::LensInformation;
@@ -49,9 +51,9 @@ fn shared_poses(lenses: [&Lens; 2], indices: impl Iterator<Item = usize>) -> Vec
     let (board, noise) = (BoardPoints::of_chessboard(&board()), CornerNoise::default());
     let spaces = lenses.map(|lens| space(lens, &board, &noise));
     let view = |index| {
-        let holding = Holding::of_sequence(index);
-        let own = spaces[0].view(&holding)?;
-        spaces[1].view_at(&holding, b_from_a() * own.camera_from_board)?;
+        let placement = PlacementInImage::of_sequence(index);
+        let own = spaces[0].view(&placement)?;
+        spaces[1].view_at(&placement, b_from_a() * own.camera_from_board)?;
         Some(own.camera_from_board)
     };
     indices.filter_map(view).collect()

@@ -269,7 +269,7 @@ fn on_plane(samples: &[(Vector3<f64>, f64)]) -> Option<Surface> {
 }
 
 /// A measured depth, compared with that of the scene point.
-struct Compared {
+struct ComparedDepth {
     /// The logarithm of the measured depth over the point's depth.
     log_ratio: f64,
     /// The relative standard deviation of the measured depth.
@@ -300,7 +300,7 @@ impl DepthComparison<'_> {
             for (view, _) in seen {
                 let found = self.compared(*view, in_scene, unit_m);
                 readings.extend(found.map(
-                    |Compared { log_ratio, relative_std, depth_m, region }| {
+                    |ComparedDepth { log_ratio, relative_std, depth_m, region }| {
                         let std = point_std.hypot(relative_std).max(LEAST_STD);
                         ScaleReading { log_ratio, std, depth_m, view: *view, point: *point, region }
                     },
@@ -315,7 +315,7 @@ impl DepthComparison<'_> {
         view: usize,
         in_scene: &Point3<f64>,
         unit_m: Option<f64>,
-    ) -> Option<Compared> {
+    ) -> Option<ComparedDepth> {
         let image = self.depth.images.get(view)?.as_ref()?;
         let in_color = self.scene.views[view].camera_from_scene? * *in_scene;
         let depth_from_color = &self.camera.depth_from_color;
@@ -330,7 +330,7 @@ impl DepthComparison<'_> {
         let region = part(pixel.y, height) * REGIONS + part(pixel.x, width);
         let log_ratio = -(inverse_depth * in_depth.z).ln();
         let depth_m = 1.0 / inverse_depth;
-        (in_depth.z > 0.0).then_some(Compared { log_ratio, relative_std, depth_m, region })
+        (in_depth.z > 0.0).then_some(ComparedDepth { log_ratio, relative_std, depth_m, region })
     }
 
     /// The median depth of the points in the color cameras, in units of the scene.

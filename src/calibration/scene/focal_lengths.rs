@@ -38,7 +38,7 @@ pub(super) fn other_focals(start: &Reconstruction, fit: &LensFit) -> Option<Othe
     }
     let mut order: Vec<usize> = (0..count).collect();
     order.sort_by(|a, b| found.log_ratios[*a].total_cmp(&found.log_ratios[*b]));
-    let splits = (1..count).filter_map(|split| Contrast::of(&found, &order[split..]));
+    let splits = (1..count).filter_map(|split| ImageGroups::of(&found, &order[split..]));
     let best = splits.max_by(|a, b| a.square().total_cmp(&b.square()))?;
     if best.square() <= no_chance(count - 1) || best.log_ratio.abs() < LEAST_DIFFERENCE {
         return None;
@@ -64,13 +64,13 @@ fn no_chance(freedom: usize) -> f64 {
 }
 
 /// Two groups of images.
-struct Contrast {
+struct ImageGroups {
     larger: Vec<usize>,
     log_ratio: f64,
     variance: f64,
 }
 
-impl Contrast {
+impl ImageGroups {
     /// The contrast of the images in `larger` to all others, by generalized least squares.
     fn of(found: &FocalByImage, larger: &[usize]) -> Option<Self> {
         let count = found.log_ratios.len();

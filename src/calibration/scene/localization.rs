@@ -69,18 +69,18 @@ fn located(
 ) -> Option<Vec<Option<(Pixel, f64)>>> {
     let seen = &bundle.observations[point];
     let reference = reference(state, seen, point);
-    let spot = Spot::of(patches, state, &seen[reference], point)?;
-    let mut views: Vec<Option<OtherView<'_>>> = seen
+    let reference_patch = ReferencePatch::of(patches, state, &seen[reference], point)?;
+    let mut views: Vec<Option<MatchedPatch<'_>>> = seen
         .iter()
         .enumerate()
         .map(|(k, seen)| {
-            let view = || OtherView::of(patches[seen.camera], state, &spot, seen);
+            let view = || MatchedPatch::of(patches[seen.camera], state, &reference_patch, seen);
             (k != reference).then(view).flatten()
         })
         .collect();
     let mut slope = Vector2::zeros();
     for _ in 0..STEPS {
-        let (step, step_px) = spot.step(&mut views, &state.lens, slope);
+        let (step, step_px) = reference_patch.step(&mut views, &state.lens, slope);
         slope += step;
         if step_px < SETTLED_PX {
             break;
@@ -90,7 +90,9 @@ fn located(
     let mut least = f64::INFINITY;
     for ((at, view), seen) in located.iter_mut().zip(&views).zip(seen) {
         let Some(view) = view else { continue };
-        let Some((pixel, std_px)) = view.found(&spot, &state.lens, slope) else { continue };
+        let Some((pixel, std_px)) = view.found(&reference_patch, &state.lens, slope) else {
+            continue;
+        };
         let farthest_px = FARTHEST[0] + FARTHEST[1] * seen.scale_px;
         let is_better = std_px * seen.inverse_std < 1.0;
         if is_better && pixel.distance_px(seen.pixel) <= farthest_px {
@@ -118,7 +120,7 @@ fn reference(state: &SceneState, seen: &[SceneObservation], point: usize) -> usi
 }
 
 /// The patch of the reference image.
-struct Spot {
+struct ReferencePatch {
     camera_from_scene: Pose,
     /// Normalized coordinates of a grid of three by three places in the patch, row by row.
     places: [Point2<f64>; 9],
@@ -148,7 +150,7 @@ fn weight(k: usize) -> f64 {
     WEIGHTS[k % SAMPLES] * WEIGHTS[k / SAMPLES]
 }
 
-impl Spot {
+impl ReferencePatch {
     fn of(
         patches: &[&PatchImage],
         state: &SceneState,
@@ -187,7 +189,7 @@ impl Spot {
     /// Returns the step of the slope, and the longest step of a view in pixels.
     fn step(
         &self,
-        views: &mut [Option<OtherView<'_>>],
+        views: &mut [Option<MatchedPatch<'_>>],
         lens: &Lens,
         slope: Vector2<f64>,
     ) -> (Vector2<f64>, f64) {
@@ -236,7 +238,7 @@ fn mean_and_std(luma: &[f64; SAMPLES * SAMPLES]) -> (f64, f64) {
 }
 
 /// Another image that shows the spot.
-struct OtherView<'a> {
+struct MatchedPatch<'a> {
     image: &'a PatchImage,
     view_from_reference: Pose,
     /// From the projection of the point to the matched spot.
@@ -256,18 +258,18 @@ struct ViewEquations {
     residual_squares: f64,
 }
 
-impl<'a> OtherView<'a> {
+impl<'a> MatchedPatch<'a> {
     fn of(
         image: &'a PatchImage,
         state: &SceneState,
-        spot: &Spot,
+        reference_patch: &ReferencePatch,
         seen: &SceneObservation,
     ) -> Option<Self> {
         let view_from_reference =
-            state.cameras_from_scene[seen.camera] * spot.camera_from_scene.inverse();
+            state.cameras_from_scene[seen.camera] * reference_patch.camera_from_scene.inverse();
         let mut view =
             Self { image, view_from_reference, offset: Vector2::zeros(), gain: 1.0, level: 0.0 };
-        let warp = view.warp(spot, &state.lens, Vector2::zeros())?;
+        let warp = view.warp(reference_patch, &state.lens, Vector2::zeros())?;
         view.offset = seen.pixel.to_vector() - warp.nodes[4];
         let luma = view.samples(&warp)?.map(|sample| sample.0);
         let (mean, std) = mean_and_std(&luma);
@@ -276,23 +278,30 @@ impl<'a> OtherView<'a> {
     }
 
     /// Where the patch's places project to if the surface slopes by `slope`.
-    fn warp(&self, spot: &Spot, lens: &Lens, slope: Vector2<f64>) -> Option<Warp> {
+    fn warp(
+        &self,
+        reference_patch: &ReferencePatch,
+        lens: &Lens,
+        slope: Vector2<f64>,
+    ) -> Option<Warp> {
         let rotation = self.view_from_reference.rotation_matrix();
         let translation = self.view_from_reference.translation();
         let mut nodes = [Vector2::zeros(); 9];
         let mut span = [Vector2::zeros(); 2];
-        for (node, place) in nodes.iter_mut().zip(&spot.places) {
-            let from_middle = place - spot.places[4];
-            let inverse_depth = spot.inverse_depth * (1.0 + slope.dot(&from_middle));
+        for (node, place) in nodes.iter_mut().zip(&reference_patch.places) {
+            let from_middle = place - reference_patch.places[4];
+            let inverse_depth = reference_patch.inverse_depth * (1.0 + slope.dot(&from_middle));
             let ray = rotation * Vector3::new(place.x, place.y, 1.0);
             *node = lens.pixel_from_point(&(ray + translation * inverse_depth).into())?.to_vector();
         }
-        let middle = rotation * Vector3::new(spot.places[4].x, spot.places[4].y, 1.0)
-            + translation * spot.inverse_depth;
-        let by_depth = lens.project(&middle.into())?.by_point * translation * spot.inverse_depth;
+        let middle = rotation
+            * Vector3::new(reference_patch.places[4].x, reference_patch.places[4].y, 1.0)
+            + translation * reference_patch.inverse_depth;
+        let by_depth =
+            lens.project(&middle.into())?.by_point * translation * reference_patch.inverse_depth;
         // Normalized coordinates by places of the patch from -1 to 1.
         for (by, axis) in span.iter_mut().zip([[5, 3], [7, 1]]) {
-            *by = (spot.places[axis[0]] - spot.places[axis[1]]) * 0.5;
+            *by = (reference_patch.places[axis[0]] - reference_patch.places[axis[1]]) * 0.5;
         }
         Some(Warp { nodes, by_depth, span })
     }
@@ -311,8 +320,13 @@ impl<'a> OtherView<'a> {
         Some(samples)
     }
 
-    fn equations(&self, spot: &Spot, lens: &Lens, slope: Vector2<f64>) -> Option<ViewEquations> {
-        let warp = self.warp(spot, lens, slope)?;
+    fn equations(
+        &self,
+        reference_patch: &ReferencePatch,
+        lens: &Lens,
+        slope: Vector2<f64>,
+    ) -> Option<ViewEquations> {
+        let warp = self.warp(reference_patch, lens, slope)?;
         let samples = self.samples(&warp)?;
         let mut e = ViewEquations {
             own: Matrix4::zeros(),
@@ -324,8 +338,8 @@ impl<'a> OtherView<'a> {
         };
         for (k, (value, by_pixel)) in samples.into_iter().enumerate() {
             let weight = weight(k);
-            let residual = value - self.gain * spot.luma[k] - self.level;
-            let own = Vector4::new(by_pixel.x, by_pixel.y, -spot.luma[k], -1.0);
+            let residual = value - self.gain * reference_patch.luma[k] - self.level;
+            let own = Vector4::new(by_pixel.x, by_pixel.y, -reference_patch.luma[k], -1.0);
             let from_middle = warp.span[0] * side(k % SAMPLES) + warp.span[1] * side(k / SAMPLES);
             let by_slope = from_middle * by_pixel.dot(&warp.by_depth);
             e.own += own * own.transpose() * weight;
@@ -340,8 +354,13 @@ impl<'a> OtherView<'a> {
 
     /// The matched pixel and the standard deviation of each coordinate; `None` where the images
     /// show different things.
-    fn found(&self, spot: &Spot, lens: &Lens, slope: Vector2<f64>) -> Option<(Pixel, f64)> {
-        let equations = self.equations(spot, lens, slope)?;
+    fn found(
+        &self,
+        reference_patch: &ReferencePatch,
+        lens: &Lens,
+        slope: Vector2<f64>,
+    ) -> Option<(Pixel, f64)> {
+        let equations = self.equations(reference_patch, lens, slope)?;
         let total: f64 = (0..SAMPLES * SAMPLES).map(weight).sum();
         // The reference patch has unit variance, so the gain's square is the explained variance.
         let explained = self.gain * self.gain * total;
@@ -349,10 +368,10 @@ impl<'a> OtherView<'a> {
         if self.gain <= 0.0 || correlation2 < LEAST_CORRELATION * LEAST_CORRELATION {
             return None;
         }
-        let variance = equations.residual_squares / total * spot.independent;
+        let variance = equations.residual_squares / total * reference_patch.independent;
         let covariance = equations.own.try_inverse()? * variance;
         let std_px = (0.5 * (covariance[(0, 0)] + covariance[(1, 1)])).sqrt();
-        let node = self.warp(spot, lens, slope)?.nodes[4] + self.offset;
+        let node = self.warp(reference_patch, lens, slope)?.nodes[4] + self.offset;
         let least = LEAST_STD_PX * self.image.spacing_px();
         std_px.is_finite().then(|| (Pixel::new(node.x, node.y), std_px.hypot(least)))
     }

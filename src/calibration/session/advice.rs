@@ -3,9 +3,9 @@
 
 use crate::calibration::admission::Rejection;
 use crate::calibration::guidance::{Guidance, obstacle};
+use crate::calibration::information::camera_information::CameraInformation;
 use crate::calibration::information::movement::{description, next_movement};
 use crate::calibration::information::next_view::SuggestedView;
-use crate::calibration::information::teaching::Teaching;
 use crate::geometry::pose::Pose;
 
 /// A requested movement stands for at least this time before another one replaces it, in
@@ -34,7 +34,7 @@ pub(super) struct Now<'a> {
     pub(super) room: u32,
     pub(super) goal_px: Option<f64>,
     /// The goal is reached, but halves of the views give different results.
-    pub(super) in_doubt: bool,
+    pub(super) halves_disagree: bool,
 }
 
 impl Advice {
@@ -44,10 +44,10 @@ impl Advice {
     }
 
     /// What to do now.
-    pub(super) fn guidance(&mut self, teaching: &Teaching, now: &Now<'_>) -> Guidance {
+    pub(super) fn guidance(&mut self, information: &CameraInformation, now: &Now<'_>) -> Guidance {
         let Some(suggested) = self.suggested.clone() else { return Guidance::default() };
-        let mut message = self.movement(teaching, &suggested, now);
-        if let Some(note) = note(&suggested, teaching.views().len(), now) {
+        let mut message = self.movement(information, &suggested, now);
+        if let Some(note) = note(&suggested, information.views().len(), now) {
             message = format!("{message}; {note}");
         }
         Guidance {
@@ -61,7 +61,7 @@ impl Advice {
 
     fn movement(
         &mut self,
-        teaching: &Teaching,
+        information: &CameraInformation,
         suggested: &SuggestedView,
         now: &Now<'_>,
     ) -> String {
@@ -75,8 +75,8 @@ impl Advice {
             }
             _ => {}
         }
-        let noise = teaching.corner_noise();
-        let (space, there) = (teaching.space(&noise, &[]), &suggested.camera_from_board);
+        let noise = information.corner_noise();
+        let (space, there) = (information.space(&noise, &[]), &suggested.camera_from_board);
         let words = match now.camera_from_board {
             Some(here) => next_movement(&space, here, there)
                 .unwrap_or_else(|| "hold the board still there".to_owned()),
@@ -91,7 +91,7 @@ impl Advice {
 
 /// What else the operator has to know.
 fn note(suggested: &SuggestedView, views: usize, now: &Now<'_>) -> Option<String> {
-    if now.in_doubt {
+    if now.halves_disagree {
         return Some(
             "the goal is reached, but halves of the views disagree: see that the board is flat and held still, and that focus and zoom stay as they are"
                 .to_owned(),

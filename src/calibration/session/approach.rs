@@ -2,7 +2,7 @@
 //! blurred by motion and add less information than the view that is about to come.
 
 use crate::calibration::admission::ONE_MOVEMENT_S;
-use crate::calibration::information::teaching::Teaching;
+use crate::calibration::information::camera_information::CameraInformation;
 use crate::calibration::view::FrameFacts;
 use crate::geometry::pose::Pose;
 
@@ -19,8 +19,13 @@ pub(super) struct Approach {
 impl Approach {
     /// Takes a frame: its time, and the poses of the board in it and in the suggested view, if both
     /// exist.
-    pub(super) fn follow(&mut self, time_ns: i64, poses: Option<[&Pose; 2]>, teaching: &Teaching) {
-        self.before = poses.map(|[here, there]| (time_ns, teaching.effort(here, there)));
+    pub(super) fn follow(
+        &mut self,
+        time_ns: i64,
+        poses: Option<[&Pose; 2]>,
+        information: &CameraInformation,
+    ) {
+        self.before = poses.map(|[here, there]| (time_ns, information.effort(here, there)));
     }
 
     /// Whether the board is about to arrive at the suggested view. A named frame is an image file,
@@ -29,13 +34,13 @@ impl Approach {
         &self,
         frame: &FrameFacts,
         [here_from_board, there_from_board]: [&Pose; 2],
-        teaching: &Teaching,
+        information: &CameraInformation,
     ) -> bool {
         let Some((time_ns, before)) = self.before.filter(|_| frame.name.is_none()) else {
             return false;
         };
         let elapsed_s = frame.time_ns().saturating_sub(time_ns) as f64 * 1e-9;
-        let left = teaching.effort(here_from_board, there_from_board);
+        let left = information.effort(here_from_board, there_from_board);
         // The effort left, at the present speed, takes less than `WAITED_S`.
         let is_one_movement = elapsed_s > 0.0 && elapsed_s < ONE_MOVEMENT_S;
         is_one_movement && (before - left) * WAITED_S > left * elapsed_s

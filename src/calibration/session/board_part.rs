@@ -1,17 +1,17 @@
 //! What one camera of an instrument has collected about a board in a session: its views, the next
 //! view that it needs, and the uncertainty of its lens.
 
-mod worth;
+mod information_gain;
 
-use crate::calibration::admission::{AdmissionOptions, Rejection, SeenBefore, admit};
+use crate::calibration::admission::{AdmissionOptions, PreviousBoard, Rejection, admit};
 use crate::calibration::coverage::Coverage;
 use crate::calibration::guidance::obstacle;
 use crate::calibration::information::board_in_depth::BoardInDepth;
+use crate::calibration::information::camera_information::{CameraInformation, ViewInformation};
 use crate::calibration::information::next_view::SuggestedView;
 use crate::calibration::information::projection_goal::GoalFigure;
-use crate::calibration::information::teaching::{TaughtView, Teaching};
 use crate::calibration::placement::Placement;
-use crate::calibration::running_estimate::{EstimateSoFar, GoingOn};
+use crate::calibration::running_estimate::{Continuation, EstimateSoFar};
 use crate::calibration::session::action::CameraFrame;
 use crate::calibration::session::advice::{Advice, Now};
 use crate::calibration::session::approach::Approach;
@@ -35,7 +35,7 @@ const LEAST_VIEWS_FOR_GOAL: u32 = 8;
 const ARRIVED: f64 = 0.2;
 
 /// The information in a view: about color (`None` where no pose explains it), and about depth.
-type Taught = (Option<TaughtView>, BoardInDepth);
+type AddedInformation = (Option<ViewInformation>, BoardInDepth);
 
 /// One camera's part of a session with a board.
 #[derive(Debug, Clone)]
@@ -49,9 +49,9 @@ pub struct BoardPart {
     views: Vec<View>,
     placements: Vec<Placement>,
     /// The information in the views; `None` before the first frame gives the image's size.
-    teaching: Option<Teaching>,
+    information: Option<CameraInformation>,
     /// The board in the newest frame, if it shows one.
-    newest: Option<TaughtView>,
+    newest: Option<ViewInformation>,
     /// When that frame was taken.
     newest_ns: i64,
     /// The most informative view for this camera; it is requested unless the rig needs another.
@@ -59,20 +59,20 @@ pub struct BoardPart {
     /// That view, or the most informative one for depth if depth is less certain.
     requested: Option<SuggestedView>,
     /// The suggested view is one that another camera should share.
-    asked_to_share: bool,
+    requests_shared: bool,
     /// What was gathered of its depth, if it has a depth sensor.
     depth: DepthPart,
     advice: Advice,
-    before: Option<SeenBefore>,
+    before: Option<PreviousBoard>,
     approach: Approach,
     time: FrameTime,
     obstacle: Obstacle,
     last_rejections: LastRejections,
-    going_on: Option<GoingOn>,
+    continuation: Option<Continuation>,
     /// The uncertainty predicted from the views that the newest estimate is made of.
     expected_px: Option<f64>,
     /// How many times greater than predicted the estimated uncertainty is, at least 1.
-    harder: f64,
+    uncertainty_ratio: f64,
     /// Whether the newest estimate's halves agree.
     model_holds: bool,
     /// A view was exchanged while an estimate was being made: that estimate has a view that is
@@ -107,12 +107,12 @@ impl BoardPart {
             summary,
             views: Vec::new(),
             placements: Vec::new(),
-            teaching: None,
+            information: None,
             newest: None,
             newest_ns: 0,
             own: None,
             requested: None,
-            asked_to_share: false,
+            requests_shared: false,
             depth: DepthPart::default(),
             advice: Advice::default(),
             before: None,
@@ -120,9 +120,9 @@ impl BoardPart {
             time: FrameTime::default(),
             obstacle: Obstacle::default(),
             last_rejections: LastRejections::default(),
-            going_on: None,
+            continuation: None,
             expected_px: None,
-            harder: 1.0,
+            uncertainty_ratio: 1.0,
             model_holds: true,
             exchanged: false,
             estimating: false,
@@ -152,8 +152,8 @@ impl BoardPart {
     }
 
     /// What the newest estimate left for the next one to go on from.
-    pub fn going_on(&self) -> Option<&GoingOn> {
-        self.going_on.as_ref()
+    pub fn continuation(&self) -> Option<&Continuation> {
+        self.continuation.as_ref()
     }
 
     /// Whether an estimate is being made.
@@ -162,8 +162,8 @@ impl BoardPart {
     }
 
     /// The information in its views; `None` before the first frame.
-    pub(super) fn teaching(&self) -> Option<&Teaching> {
-        self.teaching.as_ref()
+    pub(super) fn information(&self) -> Option<&CameraInformation> {
+        self.information.as_ref()
     }
 
     /// Why most frames became no view, unless the reason is that they added no new information.
@@ -173,7 +173,7 @@ impl BoardPart {
 
     /// The information that the newest frame would add, or added; `None` if it does not show the
     /// board.
-    pub(super) fn newest(&self) -> Option<&TaughtView> {
+    pub(super) fn newest(&self) -> Option<&ViewInformation> {
         self.newest.as_ref()
     }
 
@@ -188,9 +188,9 @@ impl BoardPart {
     }
 
     /// Requests this view instead of its own suggestion; `None` requests its own again.
-    pub(super) fn ask_for(&mut self, shared: Option<SuggestedView>) {
-        if shared.is_some() || self.asked_to_share {
-            self.asked_to_share = shared.is_some();
+    pub(super) fn request_shared(&mut self, shared: Option<SuggestedView>) {
+        if shared.is_some() || self.requests_shared {
+            self.requests_shared = shared.is_some();
             let own = || self.requested.clone();
             self.advice.renew(shared.or_else(own));
             let camera_from_board = self.newest.as_ref().map(|newest| newest.camera_from_board);
@@ -200,8 +200,8 @@ impl BoardPart {
 
     /// How many times greater the solve finds the uncertainty than its views predict, at least 1:
     /// the solve may include what widens it, such as the board's shape or the shutter.
-    pub(super) fn harder(&self) -> f64 {
-        self.harder
+    pub(super) fn uncertainty_ratio(&self) -> f64 {
+        self.uncertainty_ratio
     }
 
     /// Whether it has the views that a lens needs.
@@ -219,11 +219,11 @@ impl BoardPart {
         self.summary.frames_seen += 1;
         self.time.count(seen.frame.time_ns());
         self.prepare(seen.frame.image_size);
-        let taught = seen.board().and_then(|found| self.taught(&seen.frame, found));
-        let camera_from_board = taught.as_ref().map(|taught| taught.camera_from_board);
-        self.newest.clone_from(&taught);
+        let added = seen.board().and_then(|found| self.view_information(&seen.frame, found));
+        let camera_from_board = added.as_ref().map(|added| added.camera_from_board);
+        self.newest.clone_from(&added);
         self.newest_ns = seen.frame.time_ns();
-        let admission = self.admit(seen, taught);
+        let admission = self.admit(seen, added);
         let is_known = admission.as_ref().is_err_and(Rejection::is_known_already);
         if let (true, Some(camera_from_board)) = (is_known, &camera_from_board) {
             self.refuse(&seen.frame, camera_from_board);
@@ -240,15 +240,15 @@ impl BoardPart {
     /// A frame was rejected because it adds too little information. If the board rests about where
     /// it was requested, showing it there again would not help: another view is requested.
     fn refuse(&mut self, frame: &FrameFacts, camera_from_board: &Pose) {
-        let Some(teaching) = self.teaching.as_ref().filter(|_| !self.asked_to_share) else {
+        let Some(information) = self.information.as_ref().filter(|_| !self.requests_shared) else {
             return;
         };
-        let asked = self.requested.as_ref().map(|asked| asked.camera_from_board);
-        let asked = asked.filter(|asked| teaching.effort(camera_from_board, asked) < ARRIVED);
-        let Some(asked) = asked.filter(|_| self.awaited(frame, camera_from_board).is_none()) else {
+        let there = self.requested.as_ref().map(|there| there.camera_from_board);
+        let there = there.filter(|there| information.effort(camera_from_board, there) < ARRIVED);
+        let Some(there) = there.filter(|_| self.awaited(frame, camera_from_board).is_none()) else {
             return;
         };
-        self.teaching.iter_mut().for_each(|teaching| teaching.refuse(asked));
+        self.information.iter_mut().for_each(|information| information.refuse(there));
         self.suggest();
     }
 
@@ -257,8 +257,8 @@ impl BoardPart {
         self.image_size().is_none_or(|expected| expected == frame.image_size)
             && admit(detection, frame, self.before.as_ref(), &self.placements, &self.options)
                 .and_then(|placement| {
-                    let taught = (self.taught(frame, detection), BoardInDepth::default());
-                    self.room_for(frame, &placement, &taught)
+                    let added = (self.view_information(frame, detection), BoardInDepth::default());
+                    self.room_for(frame, &placement, &added)
                 })
                 .is_ok()
     }
@@ -282,9 +282,9 @@ impl BoardPart {
         let room = self.views.len() < self.options.view_limit as usize;
         let fits = self.image_size().is_none_or(|expected| expected == frame.image_size);
         let placement = Placement::of(detection, frame.image_size).filter(|_| room && fits)?;
-        let taught = self.taught_by(frame, detection, seen.depth.as_ref());
+        let added = self.view_information_with_depth(frame, detection, seen.depth.as_ref());
         self.summary.rejected.take_back(rejection);
-        Some(self.add(frame, detection, placement, taught))
+        Some(self.add(frame, detection, placement, added))
     }
 
     /// Restores a stored view. A view that was admitted has a placement; one without is skipped, as
@@ -293,13 +293,13 @@ impl BoardPart {
         let (frame, detection) = (&view.frame, &view.detection);
         let placement = Placement::of(detection, frame.image_size)?;
         self.prepare(frame.image_size);
-        let taught = self.taught_by(frame, detection, depth);
+        let added = self.view_information_with_depth(frame, detection, depth);
         if self.views.len() < self.options.view_limit as usize {
-            return Some(self.add(frame, detection, placement, taught));
+            return Some(self.add(frame, detection, placement, added));
         }
         // Exchanged views are stored too.
-        let replaced = self.room_for(frame, &placement, &taught).ok().flatten()?;
-        Some(self.exchange(replaced, frame, detection, placement, taught))
+        let replaced = self.room_for(frame, &placement, &added).ok().flatten()?;
+        Some(self.exchange(replaced, frame, detection, placement, added))
     }
 
     /// Whether the views reach the goals of `finish`, its time limit aside.
@@ -312,7 +312,7 @@ impl BoardPart {
                 estimate.views >= self.least_views
                     && estimate.uncertainty_px.median <= goal_px
                     && self.model_holds
-                    && self.depth.reaches(goal_px / self.harder())
+                    && self.depth.reaches(goal_px / self.uncertainty_ratio())
             }),
         }
     }
@@ -326,7 +326,7 @@ impl BoardPart {
         self.estimate_outdated = self.estimating;
         let is_begun = !std::mem::replace(&mut self.estimating, true);
         if is_begun {
-            self.expected_px = self.teaching.as_ref().and_then(Teaching::uncertainty_px);
+            self.expected_px = self.information().and_then(CameraInformation::uncertainty_px);
         }
         is_begun
     }
@@ -335,13 +335,13 @@ impl BoardPart {
     pub(super) fn estimated(&mut self, estimate: Option<EstimateSoFar>) {
         self.estimating = false;
         let outdated = std::mem::take(&mut self.exchanged);
-        if let Some(EstimateSoFar { running, going_on, model_holds }) = estimate {
+        if let Some(EstimateSoFar { running, continuation, model_holds }) = estimate {
             // Compared with what the same views predict: one view more may halve either.
-            self.harder = self
+            self.uncertainty_ratio = self
                 .expected_px
                 .map_or(1.0, |expected_px| (running.uncertainty_px.median / expected_px).max(1.0));
             self.summary.estimate = Some(running);
-            self.going_on = going_on.filter(|_| !outdated);
+            self.continuation = continuation.filter(|_| !outdated);
             self.model_holds = model_holds;
         }
     }
@@ -359,22 +359,25 @@ impl BoardPart {
 
     /// Sets up what depends on the image size, once a frame has one.
     fn prepare(&mut self, size: ImageSize) {
-        if self.teaching.is_none() && size.width > 0 && size.height > 0 {
+        if self.information.is_none() && size.width > 0 && size.height > 0 {
             let figure =
                 if self.goal_px.is_some() { GoalFigure::Median } else { GoalFigure::Worst };
-            let teaching = Teaching::new(&self.target, size, self.lens, figure);
-            self.teaching = Some(teaching);
+            self.information = Some(CameraInformation::new(&self.target, size, self.lens, figure));
             self.suggest();
         }
     }
 
-    fn admit(&mut self, seen: &CameraFrame, taught: Option<TaughtView>) -> Result<u32, Rejection> {
+    fn admit(
+        &mut self,
+        seen: &CameraFrame,
+        added: Option<ViewInformation>,
+    ) -> Result<u32, Rejection> {
         let CameraFrame { frame, seen, depth } = seen;
         let content = seen.as_ref().inspect_err(|_| self.before = None).map_err(Clone::clone)?;
         // A session with a board has boards searched for, and nothing else.
         let detection = content.board().ok_or(Rejection::NoBoard(NoBoard::NoCorners))?;
         self.summary.boards_seen += 1;
-        let now = SeenBefore { time_ns: frame.time_ns(), detection: detection.clone() };
+        let now = PreviousBoard { time_ns: frame.time_ns(), detection: detection.clone() };
         let before = self.before.replace(now);
         match self.image_size() {
             Some(expected) if expected != frame.image_size => {
@@ -383,12 +386,12 @@ impl BoardPart {
             _ => {}
         }
         let placement = admit(detection, frame, before.as_ref(), &self.placements, &self.options)?;
-        let depth = (frame, depth.as_ref(), taught.as_ref());
-        let depth = self.depth.seen(&self.target, self.teaching.as_ref(), depth);
-        let taught = (taught, depth);
-        Ok(match self.room_for(frame, &placement, &taught)? {
-            None => self.add(frame, detection, placement, taught),
-            Some(replaced) => self.exchange(replaced, frame, detection, placement, taught),
+        let depth = (frame, depth.as_ref(), added.as_ref());
+        let depth = self.depth.seen(&self.target, self.information.as_ref(), depth);
+        let added = (added, depth);
+        Ok(match self.room_for(frame, &placement, &added)? {
+            None => self.add(frame, detection, placement, added),
+            Some(replaced) => self.exchange(replaced, frame, detection, placement, added),
         })
     }
 
@@ -399,56 +402,56 @@ impl BoardPart {
         frame: &FrameFacts,
         detection: &Detection,
         placement: Placement,
-        (taught, depth): Taught,
+        (added, depth): AddedInformation,
     ) -> u32 {
         let at = number as usize;
         self.summary.coverage.add(detection, frame.image_size);
         self.views[at] = View { number, frame: frame.clone(), detection: detection.clone() };
         self.placements[at] = placement;
         // An estimate starts from the previous one only if it has the same views.
-        (self.going_on, self.exchanged) = (None, self.estimating);
-        if let Some(teaching) = &mut self.teaching {
-            teaching.remove(number);
+        (self.continuation, self.exchanged) = (None, self.estimating);
+        if let Some(information) = &mut self.information {
+            information.remove(number);
         }
         self.depth.remove(number);
-        self.teach(number, taught.map(|taught| taught.numbered(number)), depth);
+        self.add_view(number, added.map(|added| added.numbered(number)), depth);
         number
     }
 
     /// Adds the information in a view, and suggests the next view.
-    fn teach(&mut self, number: u32, taught: Option<TaughtView>, depth: BoardInDepth) {
-        let Some(teaching) = &mut self.teaching else { return };
-        if let Some(taught) = taught {
-            teaching.add(taught);
-            self.depth.add(number, depth, teaching);
+    fn add_view(&mut self, number: u32, added: Option<ViewInformation>, depth: BoardInDepth) {
+        let Some(information) = &mut self.information else { return };
+        if let Some(added) = added {
+            information.add(added);
+            self.depth.add(number, depth, information);
         }
         self.suggest();
     }
 
     /// Finds the most informative view for this camera, and suggests one.
     fn suggest(&mut self) {
-        let goal_px = self.harder_goal_px();
-        self.own = self.teaching.as_ref().and_then(|teaching| teaching.suggest(goal_px));
+        let goal_px = self.predicted_goal_px();
+        self.own = self.information.as_ref().and_then(|information| information.suggest(goal_px));
         self.request();
     }
 
     /// Requests the most informative view.
     fn request(&mut self) {
-        let goal_px = self.harder_goal_px();
-        let Some(teaching) = &self.teaching else { return };
-        let requested = self.depth.request(teaching, self.own.as_ref(), goal_px);
+        let goal_px = self.predicted_goal_px();
+        let Some(information) = &self.information else { return };
+        let requested = self.depth.request(information, self.own.as_ref(), goal_px);
         // Even if little is missing, fewer views are not worth stopping for.
         let least = self.least_views.saturating_sub(self.views.len() as u32);
         self.requested = requested.map(|view| SuggestedView {
             views_to_go: view.views_to_go.map(|to_go| to_go.map(|views| views.max(least))),
             ..view
         });
-        self.asked_to_share = false;
+        self.requests_shared = false;
         self.advice.renew(self.requested.clone());
     }
 
-    fn harder_goal_px(&self) -> Option<f64> {
-        self.goal_px.map(|goal_px| goal_px / self.harder())
+    fn predicted_goal_px(&self) -> Option<f64> {
+        self.goal_px.map(|goal_px| goal_px / self.uncertainty_ratio())
     }
 
     fn add(
@@ -456,7 +459,7 @@ impl BoardPart {
         frame: &FrameFacts,
         detection: &Detection,
         placement: Placement,
-        (taught, depth): Taught,
+        (added, depth): AddedInformation,
     ) -> u32 {
         let number = self.views.len() as u32;
         if self.views.is_empty() {
@@ -466,7 +469,7 @@ impl BoardPart {
         self.views.push(View { number, frame: frame.clone(), detection: detection.clone() });
         self.placements.push(placement);
         self.summary.views_kept = self.views.len() as u32;
-        self.teach(number, taught, depth);
+        self.add_view(number, added, depth);
         number
     }
 
@@ -482,13 +485,13 @@ impl BoardPart {
             obstacle: self.obstacle.lasting(),
             room: self.options.view_limit.saturating_sub(self.summary.views_kept),
             goal_px: self.goal_px,
-            in_doubt: reached && !self.model_holds,
+            halves_disagree: reached && !self.model_holds,
         };
-        if let Some(teaching) = &self.teaching {
-            self.summary.guidance = self.advice.guidance(teaching, &now);
+        if let Some(information) = &self.information {
+            self.summary.guidance = self.advice.guidance(information, &now);
             let suggested = self.advice.suggested.as_ref();
             let poses = camera_from_board.zip(suggested.map(|it| &it.camera_from_board));
-            self.approach.follow(time_ns, poses.map(Into::into), teaching);
+            self.approach.follow(time_ns, poses.map(Into::into), information);
         } else if let Some(message) = now.obstacle.and_then(obstacle) {
             // Without an image there is no other message.
             self.summary.guidance.message = message;

@@ -3,7 +3,7 @@
 use crate::calibration::admission::{AdmissionOptions, Rejection, SIZE_CHANGED};
 use crate::calibration::information::next_view::SuggestedView;
 use crate::calibration::placement::Placement;
-use crate::calibration::running_estimate::{EstimateSoFar, GoingOn};
+use crate::calibration::running_estimate::{Continuation, EstimateSoFar};
 use crate::calibration::scene::correspondence::SceneImage;
 use crate::calibration::scene::key_frames::KeyFrame;
 use crate::calibration::scene::so_far::SceneSoFar;
@@ -62,9 +62,9 @@ impl CameraPart {
 
     /// Requests this view instead of the most informative one for its own lens; `None` requests
     /// that one again.
-    pub(super) fn ask_for(&mut self, shared: Option<SuggestedView>) {
+    pub(super) fn request_shared(&mut self, shared: Option<SuggestedView>) {
         if let Self::Board(board) = self {
-            board.ask_for(shared);
+            board.request_shared(shared);
         }
     }
 
@@ -97,8 +97,8 @@ impl CameraPart {
     }
 
     /// What the newest estimate left for the next one to go on from.
-    pub fn going_on(&self) -> Option<&GoingOn> {
-        self.board().and_then(BoardPart::going_on)
+    pub fn continuation(&self) -> Option<&Continuation> {
+        self.board().and_then(BoardPart::continuation)
     }
 
     /// Whether an estimate is being made.

@@ -7,10 +7,12 @@
 use std::sync::Arc;
 
 use crate::calibration::information::board_in_depth::BoardInDepth;
-use crate::calibration::information::depth_teaching::{DepthTeaching, DeviceDepth};
+use crate::calibration::information::camera_information::{CameraInformation, ViewInformation};
+use crate::calibration::information::depth_camera_information::{
+    DepthCameraInformation, DeviceDepth,
+};
 use crate::calibration::information::next_depth_view::{NextDepthView, suggest_depth_view};
 use crate::calibration::information::next_view::SuggestedView;
-use crate::calibration::information::teaching::{TaughtView, Teaching};
 use crate::calibration::view::{FrameFacts, View, target_as_seen};
 use crate::detection::board_detection::Detection;
 use crate::geometry::depth_camera::PosedDepthLens;
@@ -34,10 +36,10 @@ pub struct DepthFrame {
 /// A depth camera's part of a session.
 #[derive(Debug, Clone, Default)]
 pub(super) struct DepthPart {
-    teaching: Option<DepthTeaching>,
+    information: Option<DepthCameraInformation>,
     next: Option<NextDepthView>,
     /// The suggested view is the most informative one for depth.
-    is_asked_for: bool,
+    is_requested: bool,
 }
 
 /// Depth that no model fits after this many views is left to the verdict: a session that waited for
@@ -48,62 +50,67 @@ const GIVEN_UP: usize = 10;
 const MOST_MEASURED: usize = 40;
 
 impl DepthPart {
-    /// What the depth image shows that was taken with `taught`.
+    /// What the depth image shows that was taken with `added`.
     pub(super) fn seen(
         &mut self,
         target: &Target,
-        color: Option<&Teaching>,
-        (facts, frame, taught): (&FrameFacts, Option<&DepthFrame>, Option<&TaughtView>),
+        color: Option<&CameraInformation>,
+        (facts, frame, added): (&FrameFacts, Option<&DepthFrame>, Option<&ViewInformation>),
     ) -> BoardInDepth {
-        let (Some(color), Some(frame), Some(taught)) = (color, frame, taught) else {
+        let (Some(color), Some(frame), Some(added)) = (color, frame, added) else {
             return BoardInDepth::default();
         };
         // The meaning of the disparity is unknown here; the solve estimates it.
         let Some(reading) = frame.encoding.reading else { return BoardInDepth::default() };
-        let teaching = self.teaching.get_or_insert_with(|| {
+        let information = self.information.get_or_insert_with(|| {
             let size = frame.image.size();
             let invalid = frame.encoding.invalid;
             let stated = DeviceDepth { size, reading, invalid, factory: frame.factory };
-            DepthTeaching::new(target, color, &stated)
+            DepthCameraInformation::new(target, color, &stated)
         });
-        let surface = teaching.measure(&frame.image, color, taught);
+        let surface = information.measure(&frame.image, color, added);
         // Corners whose numbering may start at either end of the board do not determine its pose.
         let is_placed = |seen: &&Detection| seen.position_known && !seen.orientation_ambiguous;
         let infrared = frame.infrared.as_ref().filter(is_placed).and_then(|seen| {
             let size = frame.image.size();
             let facts = FrameFacts { image_size: size, ..facts.clone() };
-            let view = View { number: taught.number, frame: facts, detection: seen.clone() };
+            let view = View { number: added.number, frame: facts, detection: seen.clone() };
             let target = target_as_seen(target, [&view]);
-            teaching.see(view.to_board_view(&target), seen.blur_px, color, taught)
+            information.see(view.to_board_view(&target), seen.blur_px, color, added)
         });
         BoardInDepth { surface, infrared }
     }
 
     /// Whether a view is worth keeping for its information about depth: at least `worth` times half
     /// of what the views with depth added on average. The first ones always are.
-    pub(super) fn is_taught(&self, taught: &TaughtView, seen: &BoardInDepth, worth: f64) -> bool {
-        let Some(teaching) = self.counted() else { return false };
+    pub(super) fn is_informative(
+        &self,
+        added: &ViewInformation,
+        seen: &BoardInDepth,
+        worth: f64,
+    ) -> bool {
+        let Some(information) = self.counted() else { return false };
         (seen.surface.is_some() || seen.infrared.is_some())
-            && teaching.gain(taught, seen) >= 0.5 * worth / teaching.measured().max(1) as f64
+            && information.gain(added, seen) >= 0.5 * worth / information.measured().max(1) as f64
     }
 
     /// How much this view lowers the depth uncertainty, and how much the suggested view would;
     /// `None` unless the suggested view is for depth.
-    pub(super) fn drop(&self, taught: &TaughtView, seen: &BoardInDepth) -> Option<[f64; 2]> {
-        let next = self.next.as_ref().filter(|_| self.is_asked_for)?;
-        Some([self.counted()?.drop(taught, seen), next.drop])
+    pub(super) fn drop(&self, added: &ViewInformation, seen: &BoardInDepth) -> Option<[f64; 2]> {
+        let next = self.next.as_ref().filter(|_| self.is_requested)?;
+        Some([self.counted()?.drop(added, seen), next.drop])
     }
 
     /// Adds a kept view, number `number` of `color`.
-    pub(super) fn add(&mut self, number: u32, seen: BoardInDepth, color: &Teaching) {
-        if let Some(teaching) = &mut self.teaching {
-            teaching.add(number, seen, color);
+    pub(super) fn add(&mut self, number: u32, seen: BoardInDepth, color: &CameraInformation) {
+        if let Some(information) = &mut self.information {
+            information.add(number, seen, color);
         }
     }
 
     /// The color view with this number was removed.
     pub(super) fn remove(&mut self, number: u32) {
-        self.teaching.iter_mut().for_each(|teaching| teaching.remove(number));
+        self.information.iter_mut().for_each(|information| information.remove(number));
     }
 
     /// Whether depth is known to `goal_px`, as far as it counts.
@@ -115,12 +122,12 @@ impl DepthPart {
     /// view lowers that more. Its `views_to_go` covers both.
     pub(super) fn request(
         &mut self,
-        color: &Teaching,
+        color: &CameraInformation,
         own: Option<&SuggestedView>,
         goal_px: Option<f64>,
     ) -> Option<SuggestedView> {
         let next = self.counted().and_then(|depth| suggest_depth_view(depth, color, goal_px));
-        (self.next, self.is_asked_for) = (next, false);
+        (self.next, self.is_requested) = (next, false);
         let Some(depth) = self.counted() else { return own.cloned() };
         // While the camera's pose is only a guess, neither the uncertainty after a view nor the
         // number of views can be predicted.
@@ -131,7 +138,7 @@ impl DepthPart {
             Some([a.max(c), b.max(d)])
         });
         let own = own.map(|own| {
-            let after_px = depth.uncertainty_beside(&own.information).filter(|_| is_placed);
+            let after_px = depth.uncertainty_with_color(&own.information).filter(|_| is_placed);
             let both_px = own.expected_uncertainty_px.zip(after_px);
             let expected_uncertainty_px = both_px.map(|(own_px, depth_px)| own_px.max(depth_px));
             SuggestedView { views_to_go, expected_uncertainty_px, ..own.clone() }
@@ -140,23 +147,23 @@ impl DepthPart {
             own.as_ref().is_none_or(|own| own.uncertainty_px < next.uncertainty_px)
         };
         let Some(next) = next.filter(is_less_known) else { return own };
-        let asked = color.suggested(next.camera_from_board, &next.normal, views_to_go);
-        let asked = asked.map(|asked| SuggestedView {
+        let requested = color.suggested(next.camera_from_board, &next.normal, views_to_go);
+        let requested = requested.map(|requested| SuggestedView {
             uncertainty_px: next.uncertainty_px,
-            expected_uncertainty_px: (asked.expected_uncertainty_px.filter(|_| is_placed))
+            expected_uncertainty_px: (requested.expected_uncertainty_px.filter(|_| is_placed))
                 .map(|color_px| color_px.max(next.expected_uncertainty_px)),
             is_for_depth: true,
-            ..asked
+            ..requested
         });
-        self.is_asked_for = asked.is_some();
-        asked.or(own)
+        self.is_requested = requested.is_some();
+        requested.or(own)
     }
 
     /// The information in the views about depth, as long as depth counts.
-    pub(super) fn counted(&self) -> Option<&DepthTeaching> {
-        let teaching = self.teaching.as_ref()?;
-        let is_fitted = teaching.uncertainty_px().is_some() || teaching.measured() < GIVEN_UP;
-        let counts = (1..MOST_MEASURED).contains(&teaching.measured());
-        (counts && is_fitted).then_some(teaching)
+    pub(super) fn counted(&self) -> Option<&DepthCameraInformation> {
+        let information = self.information.as_ref()?;
+        let is_fitted = information.uncertainty_px().is_some() || information.measured() < GIVEN_UP;
+        let counts = (1..MOST_MEASURED).contains(&information.measured());
+        (counts && is_fitted).then_some(information)
     }
 }

@@ -152,12 +152,12 @@ impl SessionRecord {
         }
         self.state = SessionState::Solving;
         self.reason = None;
-        self.ask_for_nothing();
+        self.clear_guidance();
         vec![Action::Announce, Action::Solve]
     }
 
     /// Clears the guidance of the session and of every camera.
-    pub(super) fn ask_for_nothing(&mut self) {
+    pub(super) fn clear_guidance(&mut self) {
         self.guidance = Guidance::default();
         for member in &mut self.members {
             member.guidance = Guidance::default();
@@ -167,7 +167,7 @@ impl SessionRecord {
     fn close(&mut self, state: SessionState, reason: Option<String>, now_ns: i64) -> Vec<Action> {
         self.state = state;
         self.reason = reason;
-        self.ask_for_nothing();
+        self.clear_guidance();
         self.finished_at_ns = Some(now_ns.max(self.started_at_ns));
         vec![Action::Close]
     }

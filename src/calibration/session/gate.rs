@@ -6,7 +6,7 @@
 //! session will keep, and little else. A full session exchanges views; then no frame is stopped for
 //! resembling a kept view.
 
-use crate::calibration::admission::{AdmissionOptions, SeenBefore, admit};
+use crate::calibration::admission::{AdmissionOptions, PreviousBoard, admit};
 use crate::calibration::placement::Placement;
 use crate::calibration::session::Session;
 use crate::calibration::session::action::CameraFrame;
@@ -16,24 +16,24 @@ use crate::geometry::pixel::ImageSize;
 
 /// What a session has kept, camera by camera, as far as admission depends on it.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct KeptSoFar {
-    cameras: Vec<KeptOfCamera>,
+pub struct KeptViews {
+    cameras: Vec<KeptCameraViews>,
 }
 
 #[derive(Debug, Clone, PartialEq, Default)]
-struct KeptOfCamera {
+struct KeptCameraViews {
     image_size: Option<ImageSize>,
     placements: Vec<Placement>,
     /// The placements of views that another camera shares; `None` for a single camera.
     shared: Option<Vec<Placement>>,
 }
 
-impl KeptSoFar {
+impl KeptViews {
     /// What `session` has kept by now.
     pub fn of(session: &Session) -> Self {
         let of_camera = |camera: usize| {
             let part = session.camera(camera)?;
-            Some(KeptOfCamera {
+            Some(KeptCameraViews {
                 image_size: part.image_size(),
                 placements: part.placements().to_vec(),
                 shared: session.shared_placements(camera),
@@ -52,7 +52,7 @@ fn with_board(seen: &CameraFrame) -> Option<(&FrameFacts, &Detection)> {
 pub struct Gate {
     options: AdmissionOptions,
     /// The previous frame of each camera, if it shows the board.
-    before: Vec<Option<SeenBefore>>,
+    before: Vec<Option<PreviousBoard>>,
 }
 
 impl Gate {
@@ -62,8 +62,8 @@ impl Gate {
     }
 
     /// Whether the session may keep something of this frame set, as far as `kept` says.
-    pub fn may_keep(&self, frame_set: &[Option<CameraFrame>], kept: &KeptSoFar) -> bool {
-        let none = KeptOfCamera::default();
+    pub fn may_keep(&self, frame_set: &[Option<CameraFrame>], kept: &KeptViews) -> bool {
+        let none = KeptCameraViews::default();
         let of = |camera: usize| kept.cameras.get(camera).unwrap_or(&none);
         let is_new = |camera: usize, placements: &[Placement]| {
             let Some((frame, detection)) = frame_set[camera].as_ref().and_then(with_board) else {
@@ -92,7 +92,7 @@ impl Gate {
         for (before, frame) in self.before.iter_mut().zip(frame_set) {
             let Some(seen) = frame else { continue };
             let frame = &seen.frame;
-            *before = seen.board().map(|detection| SeenBefore {
+            *before = seen.board().map(|detection| PreviousBoard {
                 time_ns: frame.time_ns(),
                 detection: detection.clone(),
             });

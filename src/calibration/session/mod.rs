@@ -28,7 +28,7 @@ mod resume;
 mod scene_part;
 mod scene_steps;
 mod sharing;
-mod together;
+mod simultaneity;
 
 use crate::calibration::admission::{AdmissionOptions, Rejection};
 use crate::calibration::guidance::Guidance;
@@ -46,7 +46,7 @@ use crate::calibration::session::ending::WAITS;
 pub use crate::calibration::session::ending::{LEAST_VIEWS, SessionOver};
 use crate::calibration::session::pairs::Pairs;
 use crate::calibration::session::sharing::{Sharing, next_step};
-use crate::calibration::session::together::Together;
+use crate::calibration::session::simultaneity::Simultaneity;
 use crate::calibration::session_record::{SessionMember, SessionRecord, SessionState};
 use crate::calibration::view::{FrameFacts, View};
 use crate::detection::board_detection::Detection;
@@ -56,7 +56,7 @@ use crate::detection::board_detection::Detection;
 pub struct Session {
     record: SessionRecord,
     cameras: Vec<CameraPart>,
-    together: Together,
+    simultaneity: Simultaneity,
     pairs: Pairs,
     kept: Vec<KeptView>,
     /// Numbers are never reused, even if their views were exchanged.
@@ -81,7 +81,7 @@ impl Session {
         let part = |summary| CameraPart::new(&record.request, summary, options);
         let cameras_of: Vec<CameraPart> = summaries.into_iter().map(part).collect();
         let mut session = Self {
-            together: Together::new(cameras_of.len()),
+            simultaneity: Simultaneity::new(cameras_of.len()),
             cameras: cameras_of,
             pairs: Pairs::default(),
             other_collecting_s: record.collecting_s,
@@ -130,7 +130,7 @@ impl Session {
         if self.record.state != SessionState::Collecting {
             return None;
         }
-        self.together.take(frame_set);
+        self.simultaneity.take(frame_set);
         let mut admissions: Vec<Option<Result<u32, Rejection>>> = (self.cameras.iter_mut())
             .zip(frame_set)
             .map(|(camera, seen)| Some(camera.observe(seen.as_ref()?)))
@@ -204,7 +204,7 @@ impl Session {
         } else {
             // The estimate renewed the guidance, which a session that no longer collects must not
             // show.
-            self.record.ask_for_nothing();
+            self.record.clear_guidance();
         }
         actions
     }
@@ -316,7 +316,7 @@ impl Session {
         if self.cameras.len() > 1 && self.record.state == SessionState::Collecting {
             let goal_px = self.record.request.finish.and_then(|finish| finish.uncertainty_px);
             self.pairs = Pairs::of(&self.cameras, &self.kept, goal_px);
-            self.pairs.ask(&mut self.cameras);
+            self.pairs.request_shared(&mut self.cameras);
         }
     }
 
@@ -338,12 +338,19 @@ impl Session {
             None => false,
         };
         let usable: Vec<bool> = admissions.iter().map(is_usable).collect();
-        let together = |one: usize, other: usize| self.together.are(frame_set, one, other);
+        let simultaneous =
+            |one: usize, other: usize| self.simultaneity.are_simultaneous(frame_set, one, other);
         let is_new: Vec<bool> = (0..admissions.len())
             .map(|camera| {
                 matches!(admissions[camera], Some(Ok(_)))
-                    || self.sharing().is_new(frame_set, &usable, camera, together)
-                    || self.pairs.are_taught(self.sharing(), frame_set, &usable, camera, together)
+                    || self.sharing().is_new(frame_set, &usable, camera, simultaneous)
+                    || self.pairs.share_informative_view(
+                        self.sharing(),
+                        frame_set,
+                        &usable,
+                        camera,
+                        simultaneous,
+                    )
             })
             .collect();
         for first in (0..is_new.len()).filter(|camera| is_new[*camera]) {
@@ -353,8 +360,9 @@ impl Session {
             let number = self.frame_sets;
             self.frame_sets += 1;
             for other in 0..is_new.len() {
-                let is_together = other == first || self.together.are(frame_set, first, other);
-                if !is_together || kept.iter().any(|kept| kept.camera == other) {
+                let is_simultaneous =
+                    other == first || self.simultaneity.are_simultaneous(frame_set, first, other);
+                if !is_simultaneous || kept.iter().any(|kept| kept.camera == other) {
                     continue;
                 }
                 let is_known = Rejection::is_known_already;
@@ -459,12 +467,13 @@ impl Session {
             let sees = |camera: usize| {
                 self.cameras[camera].board().is_some_and(|part| part.newest().is_some())
             };
-            let asked = self.pairs.asked();
-            let asked = asked.map(|[a, b]| if !sees(a) && sees(b) { [b, a] } else { [a, b] });
+            let requested = self.pairs.requested_pair();
+            let requested =
+                requested.map(|[a, b]| if !sees(a) && sees(b) { [b, a] } else { [a, b] });
             let (expected_uncertainty_px, views_to_go) =
                 self.pairs.figures(members.iter().map(|member| &member.guidance));
             record.guidance = Guidance {
-                message: next_step(&members, asked),
+                message: next_step(&members, requested),
                 expected_uncertainty_px,
                 views_to_go,
                 ..Guidance::default()

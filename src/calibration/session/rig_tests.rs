@@ -214,7 +214,7 @@ fn perform(session: &mut Session, actions: &[Action]) -> bool {
         let views = part.views().iter().map(|view| view.to_board_view(&target)).collect();
         let problem = CameraProblem { image_size: SIZE, views };
         let lens = LensChoice::Model(LensModel::Radial);
-        let estimate = estimate_so_far(&problem, lens, part.going_on()).ok();
+        let estimate = estimate_so_far(&problem, lens, part.continuation()).ok();
         open.extend(session.estimated(place, estimate));
     }
     solves
@@ -274,7 +274,7 @@ impl Shown {
     fn uncertainty_px(&self) -> [f64; 2] {
         let members = self.session.record().members.iter();
         let medians = members.map(|it| it.estimate.as_ref().unwrap().uncertainty_px.median);
-        [medians.fold(0.0, f64::max), self.session.pairs.links[0].teaching.uncertainty_px()]
+        [medians.fold(0.0, f64::max), self.session.pairs.links[0].information.uncertainty_px()]
     }
 }
 

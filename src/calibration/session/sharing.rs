@@ -46,7 +46,7 @@ impl<'a> Sharing<'a> {
     }
 
     /// Whether a camera sees the board unlike in all of its shared views, and another camera sees
-    /// it `together` with it. A board is often kept while it still moves, and then nothing is
+    /// it `simultaneous` with it. A board is often kept while it still moves, and then nothing is
     /// shared where cameras are not synchronized; once it is held still, it is new to no camera's
     /// own lens.
     pub(super) fn is_new(
@@ -54,11 +54,11 @@ impl<'a> Sharing<'a> {
         frame_set: &[Option<CameraFrame>],
         usable: &[bool],
         camera: usize,
-        together: impl Fn(usize, usize) -> bool,
+        simultaneous: impl Fn(usize, usize) -> bool,
     ) -> bool {
         let Some(seen) = &frame_set[camera] else { return false };
         let (frame, Some(detection)) = (&seen.frame, seen.board()) else { return false };
-        let other = |other: usize| other != camera && usable[other] && together(camera, other);
+        let other = |other: usize| other != camera && usable[other] && simultaneous(camera, other);
         usable[camera]
             && (0..usable.len()).any(other)
             && self
@@ -67,12 +67,12 @@ impl<'a> Sharing<'a> {
     }
 }
 
-/// What to do next, for the camera that lacks most. `asked` are the two cameras of the suggested
-/// shared view; the board is to be moved in the image of the first.
-pub(super) fn next_step(members: &[SessionMember], asked: Option<[usize; 2]>) -> String {
+/// What to do next, for the camera that lacks most. `requested` are the two cameras of the
+/// suggested shared view; the board is to be moved in the image of the first.
+pub(super) fn next_step(members: &[SessionMember], requested: Option<[usize; 2]>) -> String {
     let is_isolated = |(camera, member): &(usize, &SessionMember)| {
-        let is_asked = asked.is_some_and(|asked| asked.contains(camera));
-        member.views_kept > 2 && (member.views_shared as usize) < WANTED && !is_asked
+        let is_requested = requested.is_some_and(|requested| requested.contains(camera));
+        member.views_kept > 2 && (member.views_shared as usize) < WANTED && !is_requested
     };
     if let Some((_, isolated)) = members.iter().enumerate().find(is_isolated) {
         return format!(
@@ -80,7 +80,9 @@ pub(super) fn next_step(members: &[SessionMember], asked: Option<[usize; 2]>) ->
             isolated.camera
         );
     }
-    if let Some([first, other]) = asked.map(|asked| asked.map(|camera| &members[camera])) {
+    if let Some([first, other]) =
+        requested.map(|requested| requested.map(|camera| &members[camera]))
+    {
         return format!(
             "where {} and {} both see it, in the image of {}: {}",
             first.camera, other.camera, first.camera, first.guidance.message

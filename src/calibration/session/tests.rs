@@ -53,7 +53,7 @@ fn estimate_of(views: u32, median: f64) -> Option<EstimateSoFar> {
         ProjectionUncertainty { center: median / 2.0, median, worst: 3.0 * median };
     let running =
         RunningEstimate { lens, rms_px: 0.1, uncertainty_px, uncertainty_map: None, views };
-    Some(EstimateSoFar { running, going_on: None, model_holds: true })
+    Some(EstimateSoFar { running, continuation: None, model_holds: true })
 }
 
 /// The decision on a frame.
@@ -428,7 +428,7 @@ fn a_board_on_its_way_to_the_suggested_view_is_waited_for() {
         .map(|(k, board)| admitted(&mut session, &on_the_way(k), Ok(board)))
         .collect();
     assert!(admissions[1..36].iter().all(Result::is_err), "{admissions:?}");
-    let waited = |admission: &Result<u32, Rejection>| matches!(admission, Err(Rejection::TeachesLittle { gain, needed }) if gain < needed);
+    let waited = |admission: &Result<u32, Rejection>| matches!(admission, Err(Rejection::LittleInformation { gain, needed }) if gain < needed);
     assert!(admissions.iter().filter(|it| waited(it)).count() > 5, "{admissions:?}");
     let arrived = (41..44).map(|k| admitted(&mut session, &on_the_way(k), Ok(&way[40])));
     assert!(admissions[36..].iter().cloned().chain(arrived).any(|it| it.is_ok()));

@@ -221,9 +221,9 @@ impl OperatedSession {
     }
 
     fn estimated(&self, session: &Session, camera: usize) -> Option<EstimateSoFar> {
-        let going_on = session.camera(camera).and_then(CameraPart::going_on).cloned();
+        let continuation = session.camera(camera).and_then(CameraPart::continuation).cloned();
         let lens = LensChoice::Model(self.lens.model());
-        estimate_so_far(&self.problem(session), lens, going_on.as_ref()).ok()
+        estimate_so_far(&self.problem(session), lens, continuation.as_ref()).ok()
     }
 
     /// The board's pose for the requested outline. It is derived from the outline in the image,
@@ -390,7 +390,7 @@ fn figures(estimate: &RunningEstimate) -> ([f64; 2], u32) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::calibration::information::candidate_views::{CandidateSpace, Holding};
+    use crate::calibration::information::candidate_views::{CandidateSpace, PlacementInImage};
     use crate::calibration::information::corner_noise::CornerNoise;
 
     #[test]
@@ -407,7 +407,8 @@ mod tests {
                 base: UnitQuaternion::identity(),
                 avoided: &[],
             };
-            let views = (0..30).filter_map(|index| space.view(&Holding::of_sequence(index)));
+            let views =
+                (0..30).filter_map(|index| space.view(&PlacementInImage::of_sequence(index)));
             let mut seen = 0;
             for view in views {
                 let outline_px = space.outline_px(&view.camera_from_board).unwrap();

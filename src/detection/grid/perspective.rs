@@ -29,13 +29,13 @@ impl Perspective {
         Self::fit_to(grid, |_, _| true)
     }
 
-    /// Fits those corners of `grid` that are `believed`; `None` if they do not determine it.
+    /// Fits those corners of `grid` that are consistent; `None` if they do not determine it.
     pub(in crate::detection) fn fit_to(
         grid: &Grid,
-        believed: impl Fn(i32, i32) -> bool,
+        is_consistent: impl Fn(i32, i32) -> bool,
     ) -> Option<Self> {
         let bounds = grid.bounds()?;
-        let members = || grid.members.iter().filter(|&&(i, j)| believed(i, j));
+        let members = || grid.members.iter().filter(|&&(i, j)| is_consistent(i, j));
         let pixels = || members().filter_map(|&(i, j)| Some((i, j, grid.pixel(i, j)?)));
         let count = pixels().count() as f32;
         let mean = pixels().fold(Vec2::zeros(), |sum, (_, _, p)| sum + p) / count;
@@ -77,16 +77,16 @@ impl Perspective {
         self.predict_by(grid, i, j, |_, _| true)
     }
 
-    /// The same, with the residuals of the `believed` corners only.
+    /// The same, with the residuals of the consistent corners only.
     fn predict_by(
         &self,
         grid: &Grid,
         i: i32,
         j: i32,
-        believed: impl Fn(i32, i32) -> bool,
+        is_consistent: impl Fn(i32, i32) -> bool,
     ) -> Option<Vec2> {
         let (mut sum, mut weight) = (Vec2::zeros(), 0.0);
-        for &(mi, mj) in grid.members.iter().filter(|&&(mi, mj)| believed(mi, mj)) {
+        for &(mi, mj) in grid.members.iter().filter(|&&(mi, mj)| is_consistent(mi, mj)) {
             let away = ((mi - i) * (mi - i) + (mj - j) * (mj - j)) as f32;
             if away > 16.0 || away == 0.0 {
                 continue;
@@ -103,17 +103,17 @@ impl Perspective {
         Some(self.at(i as f32, j as f32)? + correction)
     }
 
-    /// Distance of the corner (i, j) of `grid` from its prediction by the `believed` ones, in
+    /// Distance of the corner (i, j) of `grid` from its prediction by the consistent ones, in
     /// steps.
     pub(in crate::detection) fn off(
         &self,
         grid: &Grid,
         i: i32,
         j: i32,
-        believed: impl Fn(i32, i32) -> bool,
+        is_consistent: impl Fn(i32, i32) -> bool,
     ) -> Option<f32> {
         let off = in_steps(
-            grid.pixel(i, j)? - self.predict_by(grid, i, j, believed)?,
+            grid.pixel(i, j)? - self.predict_by(grid, i, j, is_consistent)?,
             self.steps(i, j)?,
         )?;
         Some(off.x.abs().max(off.y.abs()))

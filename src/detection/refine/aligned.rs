@@ -2,16 +2,16 @@
 //! print around it matches the image best (`alignment`), and the print is placed by all corners.
 
 use crate::detection::refine::alignment::{Alignment, PrintLight};
-use crate::detection::refine::beside::Nearby;
 use crate::detection::refine::corner_model::length;
 use crate::detection::refine::grid_corner::GridCorner;
-use crate::detection::refine::lattice::{Known, axes_of};
+use crate::detection::refine::lattice::{FittedCorner, axes_of};
 use crate::detection::refine::misfit::Quality;
 use crate::detection::refine::print::{BoardPrint, PrintPatch};
 use crate::detection::refine::print_blur::{PrintBlur, PrintRendering};
 use crate::detection::refine::refined_corner::RefinedCorner;
 use crate::detection::refine::refiner::Refiner;
 use crate::detection::refine::window::Window;
+use crate::detection::refine::window_context::NearbyPrint;
 use crate::detection::thresholds::refinement::RefinementThresholds;
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
@@ -50,24 +50,24 @@ impl Refiner {
             self.place(print);
             aligned.clear();
             for (slot, corner) in corners.iter().enumerate() {
-                let nearby = Nearby { print: &*print, rendering };
-                let found = self.align_corner(image, slot, corner, nearby);
+                let nearby_print = NearbyPrint { print: &*print, rendering };
+                let found = self.align_corner(image, slot, corner, nearby_print);
                 aligned.push(found.filter(|it| it.is_corner(corner, &self.thresholds)));
             }
             let is_mistaken = 2 * aligned.iter().flatten().count() < corners.len();
             if is_mistaken && !is_searched {
                 is_searched = true;
-                let nearby = Nearby { print: &*print, rendering };
-                rendering = self.rendering_of_any_width(image, corners, nearby);
+                let nearby_print = NearbyPrint { print: &*print, rendering };
+                rendering = self.rendering_of_any_width(image, corners, nearby_print);
                 continue;
             }
             self.know_aligned(&aligned);
             self.lattice.fill(corners, &self.known);
             if round < BLUR_ROUNDS {
-                let nearby = Nearby { print: &*print, rendering };
+                let nearby_print = NearbyPrint { print: &*print, rendering };
                 rendering = match round {
-                    0 => self.aligned_rendering(image, corners, nearby),
-                    _ => self.aligned_again(image, corners, nearby),
+                    0 => self.aligned_rendering(image, corners, nearby_print),
+                    _ => self.aligned_again(image, corners, nearby_print),
                 };
             } else if self.rests(&aligned) {
                 break;
@@ -121,7 +121,7 @@ impl Refiner {
         aligned.iter().for_each(|it| self.misfit.take(it.as_ref().map(Aligned::quality)));
         for ((known, aligned), fits) in self.known.iter_mut().zip(aligned).zip(self.misfit.fits()) {
             let along = known.map_or([[1.0, 0.0], [0.0, 1.0]], |known| known.along);
-            *known = aligned.filter(|_| fits).map(|aligned| Known {
+            *known = aligned.filter(|_| fits).map(|aligned| FittedCorner {
                 at: aligned.center(),
                 along,
                 white: aligned.fit.grays[1].max(1.0).ln(),
@@ -134,7 +134,7 @@ impl Refiner {
         image: GrayView<'_>,
         slot: usize,
         corner: &GridCorner,
-        Nearby { print, rendering }: Nearby<'_>,
+        NearbyPrint { print, rendering }: NearbyPrint<'_>,
     ) -> Option<Aligned> {
         let reach_px = self.aligned_reach_px(rendering.blur);
         let bin = if PrintPatch::covers(rendering.blur, reach_px) { 1 } else { 2 };
@@ -170,7 +170,7 @@ impl Refiner {
             return None;
         }
         let bin = window.bin as f64;
-        let known = self.lattice.surroundings(corner.index, axes_of(corner)?);
+        let known = self.lattice.prior_of(corner.index, axes_of(corner)?);
         let light = PrintLight {
             power,
             noise: self.noise.of_pixels().map(|std| std / bin),
@@ -209,7 +209,7 @@ impl Aligned {
             mean_square: self.fit.mean_square,
             inlier_ratio: self.fit.inlier_ratio,
             samples: self.fit.samples,
-            own_light: false,
+            local_light: false,
         }
     }
 

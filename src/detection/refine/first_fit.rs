@@ -14,7 +14,7 @@ use crate::imaging::gray::GrayView;
 /// Start values that neighboring corners share. The last three are in units of half the difference
 /// of the quadrants' means, which blur makes smaller than that of black and white.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Before {
+struct StartValues {
     blur_px: f64,
     /// The model's amplitude, without its sign.
     contrast: f64,
@@ -23,7 +23,7 @@ struct Before {
     gamma_term: f64,
 }
 
-impl Before {
+impl StartValues {
     /// That of a sharp corner in an ordinary image: only the start of the first fit.
     const TYPICAL: Self = Self { blur_px: 1.0, contrast: 1.3, offset: 0.0, gamma_term: 0.0 };
 }
@@ -34,17 +34,17 @@ impl Refiner {
         self.fitted.clear();
         self.noise.clear();
         self.scatter.clear();
-        let (mut before, mut clear) = (Before::TYPICAL, Before::TYPICAL);
+        let (mut start_values, mut clear) = (StartValues::TYPICAL, StartValues::TYPICAL);
         for corner in corners {
-            let mut fitted = self.fit_from(image, corner, &before);
+            let mut fitted = self.fit_from(image, corner, &start_values);
             // A fit to an occluder is a bad start for the corners after it.
-            if fitted.is_none() && before != clear {
+            if fitted.is_none() && start_values != clear {
                 fitted = self.fit_from(image, corner, &clear);
             }
             if let Some(fitted) = &fitted {
-                before = self.as_before(fitted);
+                start_values = self.as_start_values(fitted);
                 if fitted.inlier_ratio > self.thresholds.clear_inliers {
-                    clear = before;
+                    clear = start_values;
                 }
                 self.noise.take(fitted.fit.residuals.flat, fitted.window.bin);
             }
@@ -57,9 +57,9 @@ impl Refiner {
         &mut self,
         image: GrayView<'_>,
         corner: &GridCorner,
-        before: &Before,
+        start_values: &StartValues,
     ) -> Option<Fitted> {
-        self.fit_alone(image, corner, before)
+        self.fit_alone(image, corner, start_values)
             .filter(|fitted| fitted.may_be_corner(corner, &self.thresholds))
     }
 
@@ -70,12 +70,12 @@ impl Refiner {
         &mut self,
         image: GrayView<'_>,
         corner: &GridCorner,
-        before: &Before,
+        start_values: &StartValues,
     ) -> Option<Fitted> {
         let axes = axes_of(corner)?;
         let guess = [corner.pixel.x, corner.pixel.y];
         let (mut origin, mut blur_px, mut coarser) =
-            (guess, before.blur_px.max(self.thresholds.least_start_blur_px), 1);
+            (guess, start_values.blur_px.max(self.thresholds.least_start_blur_px), 1);
         let mut best = None;
         for _ in 0..self.thresholds.most_windows {
             let window = Window::new(
@@ -87,7 +87,7 @@ impl Refiner {
             )
             .coarsened(coarser);
             let Some(first) = self
-                .fit_in(image, window, &Before { blur_px, ..*before })
+                .fit_in(image, window, &StartValues { blur_px, ..*start_values })
                 .filter(|fitted| fitted.has_settled(&self.thresholds))
             else {
                 (origin, coarser) = (guess, 2 * coarser);
@@ -109,11 +109,11 @@ impl Refiner {
     }
 
     /// Start values for the next corner, from the one just fitted.
-    fn as_before(&self, fitted: &Fitted) -> Before {
+    fn as_start_values(&self, fitted: &Fitted) -> StartValues {
         let model = &fitted.fit.model;
         let [minus, plus] = self.quarter_means;
         let half = ((plus - minus) / 2.0).abs().max(self.thresholds.least_start_amplitude);
-        Before {
+        StartValues {
             blur_px: fitted.blur_px(),
             contrast: (model.amplitude.abs() / half)
                 .clamp(1.0, self.thresholds.most_start_contrast),
@@ -124,9 +124,14 @@ impl Refiner {
         }
     }
 
-    fn fit_in(&mut self, image: GrayView<'_>, window: Window, before: &Before) -> Option<Fitted> {
+    fn fit_in(
+        &mut self,
+        image: GrayView<'_>,
+        window: Window,
+        start_values: &StartValues,
+    ) -> Option<Fitted> {
         self.gather(image, &window)?;
-        let start = self.start(&window, before)?;
+        let start = self.start(&window, start_values)?;
         // The noise is not known yet: black and white get the same; the scale does not matter.
         let noise = Noise {
             black: 1.0,
@@ -146,21 +151,22 @@ impl Refiner {
 
     /// The start of the first fit: along the axes, with black and white from the means of the four
     /// quadrants, corrected as at the previous corner.
-    fn start(&mut self, window: &Window, before: &Before) -> Option<CornerModel> {
+    fn start(&mut self, window: &Window, start_values: &StartValues) -> Option<CornerModel> {
         let bin = window.bin as f64;
         let along = window.axes.map(|axis| axis.map(|v| v / length(axis)));
         self.quarter_means = self.samples.quarter_means(along);
         let [minus, plus] = self.quarter_means;
-        let sigma = (before.blur_px * before.blur_px + PIXEL_VARIANCE * bin * bin).sqrt() / bin;
+        let sigma =
+            (start_values.blur_px * start_values.blur_px + PIXEL_VARIANCE * bin * bin).sqrt() / bin;
         let amplitude = (plus - minus) / 2.0;
         (amplitude.abs() > self.thresholds.least_start_amplitude).then_some(CornerModel {
             center: [0.0; 2],
             along,
             sharpness: [1.0 / sigma; 2],
             curvature: [0.0; 2],
-            level: (plus + minus) / 2.0 + before.offset * amplitude.abs(),
-            amplitude: before.contrast * amplitude,
-            gamma_term: before.gamma_term * amplitude.abs(),
+            level: (plus + minus) / 2.0 + start_values.offset * amplitude.abs(),
+            amplitude: start_values.contrast * amplitude,
+            gamma_term: start_values.gamma_term * amplitude.abs(),
             gradient: [0.0; 2],
         })
     }

@@ -3,7 +3,7 @@
 use crate::detection::refine::corner_model::length;
 use crate::detection::refine::fit::CornerFit;
 use crate::detection::refine::grid_corner::GridCorner;
-use crate::detection::refine::lattice::Known;
+use crate::detection::refine::lattice::FittedCorner;
 use crate::detection::refine::misfit::Quality;
 use crate::detection::refine::normal_equations::Noise;
 use crate::detection::refine::refined_corner::RefinedCorner;
@@ -41,10 +41,10 @@ impl Fitted {
         variance.max(LEAST_BLUR_VARIANCE).sqrt()
     }
 
-    pub(super) fn known(&self) -> Known {
+    pub(super) fn known(&self) -> FittedCorner {
         let model = &self.fit.model;
         let white = (model.level + model.amplitude.abs()).max(1.0).ln();
-        Known { at: self.center(), along: model.along, white }
+        FittedCorner { at: self.center(), along: model.along, white }
     }
 
     /// Whether the fit has converged to something that explains most of the contrast.
@@ -81,7 +81,7 @@ impl Fitted {
     pub(super) fn quality(&self) -> Quality {
         let samples = self.fit.residuals.effective.max(1.0);
         let (mean_square, inlier_ratio) = (self.fit.mean_square, self.inlier_ratio);
-        Quality { mean_square, inlier_ratio, samples, own_light: self.lit }
+        Quality { mean_square, inlier_ratio, samples, local_light: self.lit }
     }
 
     /// The covariance of the position, scaled to a mean variance of 1 per axis.

@@ -3,14 +3,14 @@
 
 use crate::detection::board_detection::GridIndex;
 use crate::detection::refine::corner_model::length;
+use crate::detection::refine::edge_curvature::EdgeCurvature;
 use crate::detection::refine::field::{BoardField, FieldSample};
 use crate::detection::refine::grid_corner::GridCorner;
-use crate::detection::refine::own_curvature::OwnCurvature;
 use crate::detection::refine::stepped_field::SteppedFit;
 
 /// One corner after the first fit, in image pixels.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Known {
+pub(super) struct FittedCorner {
     /// Where it is.
     pub at: [f64; 2],
     /// Unit vectors along the two edges, towards +col and +row.
@@ -21,7 +21,7 @@ pub(super) struct Known {
 
 /// The board's prior for one corner.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(super) struct Surroundings {
+pub(super) struct CornerPrior {
     /// Curvature of each edge, towards its normal (the edge's direction rotated by +90°), in 1/px.
     pub curvature: [f64; 2],
     /// Relative change of light per pixel.
@@ -58,7 +58,7 @@ const MOST_PLACES: i64 = 1 << 16;
 
 impl Lattice {
     /// Fits the fields to the known quantities (`known`) of `corners`.
-    pub fn fill(&mut self, corners: &[GridCorner], known: &[Option<Known>]) {
+    pub fn fill(&mut self, corners: &[GridCorner], known: &[Option<FittedCorner>]) {
         self.place(corners);
         for axis in 0..2 {
             let mut samples = std::mem::take(&mut self.by_neighbors[axis]);
@@ -95,7 +95,7 @@ impl Lattice {
     }
 
     /// Pairs of neighbors among the samples of light.
-    fn pair_neighbors(&mut self, corners: &[GridCorner], known: &[Option<Known>]) {
+    fn pair_neighbors(&mut self, corners: &[GridCorner], known: &[Option<FittedCorner>]) {
         self.lit.clear();
         let mut count = 0;
         self.lit.extend(known.iter().map(|known| {
@@ -121,7 +121,7 @@ impl Lattice {
         &mut self,
         axis: usize,
         variance_px2: f64,
-        own: impl Iterator<Item = (GridIndex, OwnCurvature)>,
+        own: impl Iterator<Item = (GridIndex, EdgeCurvature)>,
     ) -> Option<BoardField> {
         let mut own = own.peekable();
         if self.by_neighbors[axis].is_empty() || own.peek().is_none() {
@@ -142,7 +142,7 @@ impl Lattice {
         Some(BoardField::fit(&self.samples, CURVATURE_ORDER))
     }
 
-    /// How much `field` exceeds the curvature of the edges along `axis` that [`Self::surroundings`]
+    /// How much `field` exceeds the curvature of the edges along `axis` that [`Self::prior_of`]
     /// gives, at the corner at `index`.
     pub fn beyond(&self, axis: usize, field: &BoardField, index: GridIndex) -> f64 {
         field.at(place(index)) - self.curvatures[axis].at(place(index))
@@ -199,11 +199,11 @@ impl Lattice {
 
     /// The board's prior for the corner at `index`. Curvature and light from one corner are noisy,
     /// and corners at the border lack neighbors, but both vary smoothly over the board.
-    pub fn surroundings(&self, index: GridIndex, axes: [[f64; 2]; 2]) -> Surroundings {
+    pub fn prior_of(&self, index: GridIndex, axes: [[f64; 2]; 2]) -> CornerPrior {
         let place = place(index);
         let light = self.light.slope(place);
         let det = axes[0][0] * axes[1][1] - axes[0][1] * axes[1][0];
-        Surroundings {
+        CornerPrior {
             curvature: [0, 1].map(|axis| self.curvatures[axis].at(place)),
             light_gradient: [
                 (light[0] * axes[1][1] - light[1] * axes[0][1]) / det,

@@ -32,7 +32,7 @@ pub(super) struct Quality {
     /// Their number.
     pub samples: f64,
     /// Whether it was fitted with light of its own: then it is no reference for the others.
-    pub own_light: bool,
+    pub local_light: bool,
 }
 
 /// The medians over a board.
@@ -57,7 +57,7 @@ impl CornerMisfit {
 
     /// Whether the corner of this number was fitted with light of its own.
     pub fn has_own_light(&self, corner: usize) -> bool {
-        self.of_corners.get(corner).copied().flatten().is_some_and(|quality| quality.own_light)
+        self.of_corners.get(corner).copied().flatten().is_some_and(|quality| quality.local_light)
     }
 
     /// Takes the next corner's quality.
@@ -104,7 +104,7 @@ impl CornerMisfit {
             let times = (quality.mean_square / medians.mean_square).max(LEAST_TIMES);
             let excess = (times - 1.0 - CHANCE * (2.0 / quality.samples).sqrt()).max(0.0);
             // With light of its own a corner may well fit better than the others.
-            if quality.own_light && excess == 0.0 {
+            if quality.local_light && excess == 0.0 {
                 return Some(1.0);
             }
             let no_corner =
@@ -118,7 +118,7 @@ impl CornerMisfit {
         let Self { of_corners, sorted } = self;
         let mut median = |of: fn(&Quality) -> f64| {
             sorted.clear();
-            sorted.extend(of_corners.iter().flatten().filter(|it| !it.own_light).map(of));
+            sorted.extend(of_corners.iter().flatten().filter(|it| !it.local_light).map(of));
             median_of(sorted).filter(|_| sorted.len() >= FEWEST_CORNERS)
         };
         let (mean_square, inlier_ratio) = (median(|q| q.mean_square)?, median(|q| q.inlier_ratio)?);
@@ -137,7 +137,7 @@ mod tests {
                 mean_square,
                 inlier_ratio,
                 samples: 450.0,
-                own_light: false,
+                local_light: false,
             }));
         }
         misfit.std_factors().collect()
@@ -177,7 +177,7 @@ mod tests {
                 mean_square,
                 inlier_ratio: 0.9,
                 samples: 100.0,
-                own_light: false,
+                local_light: false,
             }));
         }
         misfit.take(None);
@@ -193,7 +193,7 @@ mod tests {
                 mean_square,
                 inlier_ratio: 0.9,
                 samples: 100.0,
-                own_light: false,
+                local_light: false,
             }));
         }
         misfit.take(None);

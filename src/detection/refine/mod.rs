@@ -9,7 +9,7 @@
 //! | two fits | `first_fit`, `second_fit`, `fitted` | each corner by itself, then with what the board knows; whether it is a corner |
 //! | print | `print`, `printed`, `print_blur`, `transfer` | takes off the window what is printed beside the two edges, where blur brings it in |
 //! | alignment | `aligned`, `alignment`, `rendering_search` | where blur runs edges into each other: moves the whole print until it is most like the image |
-//! | shading | `shading`, `own_light`, `power` | takes off light that changes over a corner's window; fits corner and light together, in light |
+//! | shading | `shading`, `local_light`, `power` | takes off light that changes over a corner's window; fits corner and light together, in light |
 //! | board | `lattice`, `field`, `noise` | what all corners estimate together: the curvature of the edges, the change of light, the noise |
 //! | standard deviation | `corner_std`, `halves`, `scatter`, `misfit`, `straightness` | the fit's own, times one factor for each sign of a larger error: edge halves differ, one corner fits worse than the others, corners leave their lines |
 //!
@@ -20,9 +20,9 @@
 
 mod aligned;
 mod alignment;
-mod beside;
 mod corner_model;
 mod corner_std;
+mod edge_curvature;
 mod elimination;
 mod field;
 mod field_sums;
@@ -33,11 +33,10 @@ mod gaussian;
 mod grid_corner;
 mod halves;
 mod lattice;
+mod local_light;
 mod misfit;
 mod noise;
 mod normal_equations;
-mod own_curvature;
-mod own_light;
 mod power;
 pub mod print;
 mod print_blur;
@@ -53,6 +52,7 @@ mod stepped_field;
 mod straightness;
 mod transfer;
 mod window;
+mod window_context;
 
 pub use crate::detection::refine::grid_corner::GridCorner;
 pub use crate::detection::refine::refined_corner::RefinedCorner;

@@ -1,13 +1,13 @@
 //! Fits with other print removed from the corners' windows, where blur brings it in.
 
-use crate::detection::refine::beside::{Beside, Nearby};
 use crate::detection::refine::fitted::Fitted;
 use crate::detection::refine::grid_corner::GridCorner;
-use crate::detection::refine::lattice::{Known, axes_of};
+use crate::detection::refine::lattice::{FittedCorner, axes_of};
 use crate::detection::refine::print::{BoardPrint, disturbs};
 use crate::detection::refine::print_blur::{PrintBlur, PrintRendering};
 use crate::detection::refine::refiner::Refiner;
 use crate::detection::refine::transfer::linear_power;
+use crate::detection::refine::window_context::{NearbyPrint, WindowContext};
 use crate::geometry::median::median_of;
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
@@ -37,10 +37,10 @@ impl Refiner {
             self.noise.clear();
             for (slot, corner) in corners.iter().enumerate() {
                 let Some(first) = self.fitted[slot] else { continue };
-                let print = Some((slot, Nearby { print: &*print, rendering }));
-                let beside = Beside { print, shaded: self.shaded[slot], light: None };
+                let print = Some((slot, NearbyPrint { print: &*print, rendering }));
+                let context = WindowContext { print, shaded: self.shaded[slot], light: None };
                 let second = self
-                    .fit_within_board(image, corner, &first, noise, beside)
+                    .fit_within_board(image, corner, &first, noise, context)
                     .filter(|second| second.may_be_corner(corner, &self.thresholds));
                 if let Some(second) = second {
                     self.noise.take(second.fit.residuals.flat, second.window.bin);
@@ -50,10 +50,10 @@ impl Refiner {
             self.compare_fits();
             self.lattice.fill(corners, &self.known);
             self.place(print);
-            let nearby = Nearby { print: &*print, rendering };
+            let nearby_print = NearbyPrint { print: &*print, rendering };
             rendering = match round {
-                0 => self.aligned_rendering(image, corners, nearby),
-                _ => self.aligned_again(image, corners, nearby),
+                0 => self.aligned_rendering(image, corners, nearby_print),
+                _ => self.aligned_again(image, corners, nearby_print),
             };
         }
         Some(rendering)
@@ -61,7 +61,7 @@ impl Refiner {
 
     pub(super) fn place(&mut self, print: &mut dyn BoardPrint) {
         self.placed.clear();
-        let center = |known: &Option<Known>| known.map(|it| Pixel::new(it.at[0], it.at[1]));
+        let center = |known: &Option<FittedCorner>| known.map(|it| Pixel::new(it.at[0], it.at[1]));
         self.placed.extend(self.known.iter().map(center));
         print.put(&self.placed);
     }

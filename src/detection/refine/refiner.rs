@@ -1,24 +1,24 @@
 //! The refinement of a board's corners: two fits of each, compared and combined over the board.
 
 use crate::detection::refine::alignment::AlignedSamples;
-use crate::detection::refine::beside::{Beside, LightOfItsOwn, Nearby};
 use crate::detection::refine::corner_model::{CornerModel, length};
 use crate::detection::refine::corner_std::CornerStd;
+use crate::detection::refine::edge_curvature::{EdgeCurvature, edge_curvatures};
 use crate::detection::refine::fit::{FitOptions, fit};
 use crate::detection::refine::fitted::Fitted;
 use crate::detection::refine::grid_corner::GridCorner;
 use crate::detection::refine::halves::disagreements;
-use crate::detection::refine::lattice::{Known, Lattice};
+use crate::detection::refine::lattice::{FittedCorner, Lattice};
 use crate::detection::refine::misfit::CornerMisfit;
 use crate::detection::refine::noise::PooledNoise;
 use crate::detection::refine::normal_equations::{ModelColumns, Noise};
-use crate::detection::refine::own_curvature::{OwnCurvature, own_curvatures};
 use crate::detection::refine::print::{BoardPrint, PrintPatch};
 use crate::detection::refine::refined_corner::RefinedCorner;
 use crate::detection::refine::samples::Samples;
 use crate::detection::refine::scatter::Scatter;
 use crate::detection::refine::straightness::{Placed, Straightness};
 use crate::detection::refine::window::Window;
+use crate::detection::refine::window_context::{LocalLightCriterion, NearbyPrint, WindowContext};
 use crate::detection::thresholds::refinement::RefinementThresholds;
 use crate::geometry::median::median_of;
 use crate::geometry::pixel::Pixel;
@@ -46,9 +46,9 @@ pub struct Refiner {
     /// The covariance of each corner in units of the square of its standard deviation: xx, xy, yy.
     pub(super) shapes: Vec<[f64; 3]>,
     pub(super) fitted: Vec<Option<Fitted>>,
-    pub(super) known: Vec<Option<Known>>,
+    pub(super) known: Vec<Option<FittedCorner>>,
     /// For each corner, the excess curvature of its edges in its own window.
-    own_curvatures: Vec<[Option<OwnCurvature>; 2]>,
+    edge_curvatures: Vec<[Option<EdgeCurvature>; 2]>,
     /// Variances of the first fits' positions.
     variances_px2: Vec<f64>,
     pub(super) patch: PrintPatch,
@@ -63,7 +63,7 @@ pub struct Refiner {
     /// The same relative to the corners that fit best.
     may_be_lit: Vec<bool>,
     /// For each corner, the light of its own that a second fit may try.
-    light: Vec<Option<LightOfItsOwn>>,
+    light: Vec<Option<LocalLightCriterion>>,
     /// For each corner, its second fit if that has light of its own.
     lit: Vec<Option<Fitted>>,
     /// The mean gray values of the two pairs of quadrants in the last window of a first fit.
@@ -113,9 +113,11 @@ impl Refiner {
         }
         let mut print = print;
         let rendering = print.as_deref_mut().and_then(|it| self.fit_printed(image, corners, it));
-        let nearby =
-            print.as_deref().zip(rendering).map(|(print, rendering)| Nearby { print, rendering });
-        self.fit_edges(image, corners, nearby, refined);
+        let nearby_print = print
+            .as_deref()
+            .zip(rendering)
+            .map(|(print, rendering)| NearbyPrint { print, rendering });
+        self.fit_edges(image, corners, nearby_print, refined);
         let rendering = rendering.or_else(|| self.rendering_of_unrefined(refined));
         let (Some(print), Some(rendering)) = (print, rendering) else { return false };
         self.align_print(image, corners, print, rendering, refined)
@@ -126,20 +128,20 @@ impl Refiner {
         &mut self,
         image: GrayView<'_>,
         corners: &[GridCorner],
-        nearby: Option<Nearby<'_>>,
+        nearby_print: Option<NearbyPrint<'_>>,
         refined: &mut Vec<Option<RefinedCorner>>,
     ) {
         // Print that blur brings into windows is removed under the board's light only.
-        let may_be_lit = nearby.is_none() && self.may_be_lit.contains(&true);
+        let may_be_lit = nearby_print.is_none() && self.may_be_lit.contains(&true);
         let power = if may_be_lit { self.median_power() } else { None };
-        let light = |most_left| power.map(|power| LightOfItsOwn { power, most_left });
+        let light = |most_left| power.map(|power| LocalLightCriterion { power, most_left });
         let alone = light(self.thresholds.lit_alone);
         self.light.clear();
         self.light.extend(self.may_be_lit.iter().map(|&may| alone.filter(|_| may)));
         let fitted = std::mem::take(&mut self.fitted);
         self.lit.clear();
         self.lit.resize(corners.len(), None);
-        self.fit_each_again(image, corners, &fitted, nearby, refined);
+        self.fit_each_again(image, corners, &fitted, nearby_print, refined);
         let lit = self.lit.iter().flatten().count();
         if lit > 0 {
             let in_highlight = light(self.thresholds.lit_in_highlight);
@@ -149,7 +151,7 @@ impl Refiner {
             } else {
                 self.light.fill(in_highlight);
             }
-            self.fit_each_again(image, corners, &fitted, nearby, refined);
+            self.fit_each_again(image, corners, &fitted, nearby_print, refined);
         }
         self.fitted = fitted;
         self.curve_edges(corners, refined);
@@ -162,7 +164,7 @@ impl Refiner {
         image: GrayView<'_>,
         corners: &[GridCorner],
         fitted: &[Option<Fitted>],
-        nearby: Option<Nearby<'_>>,
+        nearby_print: Option<NearbyPrint<'_>>,
         refined: &mut Vec<Option<RefinedCorner>>,
     ) {
         let noise = self.noise.of_pixels();
@@ -171,13 +173,13 @@ impl Refiner {
         self.scatter.clear();
         self.straightness.clear();
         self.shapes.clear();
-        self.own_curvatures.clear();
+        self.edge_curvatures.clear();
         for (slot, (corner, first)) in corners.iter().zip(fitted).enumerate() {
             let (shaded, light) = (self.shaded[slot], self.light[slot]);
-            let beside = Beside { print: nearby.map(|it| (slot, it)), shaded, light };
+            let context = WindowContext { print: nearby_print.map(|it| (slot, it)), shaded, light };
             let second = self.lit[slot].or_else(|| {
                 let first = first.as_ref()?;
-                let second = self.fit_within_board(image, corner, first, noise, beside)?;
+                let second = self.fit_within_board(image, corner, first, noise, context)?;
                 second.is_corner(corner, &self.thresholds).then_some(second)
             });
             self.lit[slot] = second.filter(|second| second.lit);
@@ -187,8 +189,8 @@ impl Refiner {
             if let Some(second) = plain.filter(|_| self.is_compared(corners, corner)) {
                 self.note_scatter(refined.len(), second);
             }
-            self.own_curvatures.push(plain.map_or([None; 2], |second| {
-                own_curvatures(&self.samples, &self.columns, &second.fit, &second.window)
+            self.edge_curvatures.push(plain.map_or([None; 2], |second| {
+                edge_curvatures(&self.samples, &self.columns, &second.fit, &second.window)
             }));
             self.shapes.push(second.as_ref().map_or([1.0, 0.0, 1.0], Fitted::shape));
             if let Some(second) = &second {
@@ -201,16 +203,16 @@ impl Refiner {
     /// Moves corners by the excess curvature of their edges over that of the second fit, estimated
     /// from the windows of all corners and the first fits' positions.
     fn curve_edges(&mut self, corners: &[GridCorner], refined: &mut [Option<RefinedCorner>]) {
-        let Self { fitted, variances_px2, own_curvatures, lattice, .. } = self;
+        let Self { fitted, variances_px2, edge_curvatures, lattice, .. } = self;
         variances_px2.clear();
         variances_px2.extend(fitted.iter().flatten().map(|first| first.refined().std_px.powi(2)));
         let Some(variance_px2) = median_of(variances_px2) else { return };
         for axis in 0..2 {
-            let own = corners.iter().zip(own_curvatures.iter());
+            let own = corners.iter().zip(edge_curvatures.iter());
             let own = own.filter_map(|(corner, own)| Some((corner.index, own[axis]?)));
             let Some(field) = lattice.curvature_with_own(axis, variance_px2, own) else { continue };
             for ((corner, own), refined) in
-                corners.iter().zip(own_curvatures.iter()).zip(&mut *refined)
+                corners.iter().zip(edge_curvatures.iter()).zip(&mut *refined)
             {
                 let (Some(own), Some(refined)) = (own[axis], refined) else { continue };
                 let beyond = lattice.beyond(axis, &field, corner.index);

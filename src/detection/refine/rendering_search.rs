@@ -1,7 +1,6 @@
 //! The search of the blur and the gamma with which the rendered board matches the image best.
 
 use crate::detection::refine::alignment::{AlignedSamples, PrintLight};
-use crate::detection::refine::beside::Nearby;
 use crate::detection::refine::grid_corner::GridCorner;
 use crate::detection::refine::print::PrintPatch;
 use crate::detection::refine::print_blur::{PrintBlur, PrintRendering, least_near};
@@ -9,6 +8,7 @@ use crate::detection::refine::refined_corner::RefinedCorner;
 use crate::detection::refine::refiner::Refiner;
 use crate::detection::refine::transfer::POWERS;
 use crate::detection::refine::window::Window;
+use crate::detection::refine::window_context::NearbyPrint;
 use crate::imaging::gray::GrayView;
 
 /// The misfit, as a mean square in units of the noise, of a print that cannot be aligned: greater
@@ -40,26 +40,28 @@ impl Refiner {
     }
 
     /// The blur and the gamma with which the print matches the image best at some of the known
-    /// corners, near those of `nearby`: with any motion, and at most 42 % wider or narrower.
+    /// corners, near those of `nearby_print`: with any motion, and at most 42 % wider or narrower.
     pub(super) fn aligned_rendering(
         &mut self,
         image: GrayView<'_>,
         corners: &[GridCorner],
-        nearby: Nearby<'_>,
+        nearby_print: NearbyPrint<'_>,
     ) -> PrintRendering {
         let least_motion_px = self.thresholds.least_motion_px;
-        let mut compared = self.compared(image, corners, nearby, Trust::Robust);
-        compared.best(nearby.rendering, least_motion_px).0
+        let mut compared = self.compared(image, corners, nearby_print, SampleWeighting::Robust);
+        compared.best(nearby_print.rendering, least_motion_px).0
     }
 
-    /// The same with the motion of `nearby`.
+    /// The same with the motion of `nearby_print`.
     pub(super) fn aligned_again(
         &mut self,
         image: GrayView<'_>,
         corners: &[GridCorner],
-        nearby: Nearby<'_>,
+        nearby_print: NearbyPrint<'_>,
     ) -> PrintRendering {
-        self.compared(image, corners, nearby, Trust::Robust).adjusted(nearby.rendering).0
+        self.compared(image, corners, nearby_print, SampleWeighting::Robust)
+            .adjusted(nearby_print.rendering)
+            .0
     }
 
     /// The blur and the gamma with which the print matches the image best, where fits of edges
@@ -70,15 +72,15 @@ impl Refiner {
         &mut self,
         image: GrayView<'_>,
         corners: &[GridCorner],
-        Nearby { print, rendering }: Nearby<'_>,
+        NearbyPrint { print, rendering }: NearbyPrint<'_>,
     ) -> PrintRendering {
         let least_motion_px = self.thresholds.least_motion_px;
         let mut width_px = rendering.blur.width_px();
         let mut best = (rendering, f64::INFINITY);
         for _ in 0..MOST_OCTAVES {
             let start = PrintRendering { blur: PrintBlur::round(width_px), ..rendering };
-            let nearby = Nearby { print, rendering: start };
-            let mut compared = self.compared(image, corners, nearby, Trust::All);
+            let nearby_print = NearbyPrint { print, rendering: start };
+            let mut compared = self.compared(image, corners, nearby_print, SampleWeighting::All);
             let found = compared.best(start, least_motion_px);
             if found.1 < best.1 {
                 best = found;
@@ -91,13 +93,13 @@ impl Refiner {
         best.0
     }
 
-    /// Some of the known corners, with windows for blurs near that of `nearby`.
+    /// Some of the known corners, with windows for blurs near that of `nearby_print`.
     fn compared<'a>(
         &'a mut self,
         image: GrayView<'a>,
         corners: &[GridCorner],
-        Nearby { print, rendering }: Nearby<'_>,
-        trust: Trust,
+        NearbyPrint { print, rendering }: NearbyPrint<'_>,
+        weighting: SampleWeighting,
     ) -> ComparedCorners<'a> {
         let known = corners.iter().enumerate().filter(|(slot, _)| self.known[*slot].is_some());
         let known: Vec<(usize, &GridCorner)> = known.collect();
@@ -112,7 +114,7 @@ impl Refiner {
             Some((patch, window, light))
         });
         let corners = compared.collect();
-        ComparedCorners { image, corners, samples: &mut self.aligned, trust }
+        ComparedCorners { image, corners, samples: &mut self.aligned, weighting }
     }
 }
 
@@ -121,12 +123,12 @@ struct ComparedCorners<'a> {
     image: GrayView<'a>,
     corners: Vec<(PrintPatch, Window, PrintLight)>,
     samples: &'a mut AlignedSamples,
-    trust: Trust,
+    weighting: SampleWeighting,
 }
 
 /// Which samples count in a misfit.
 #[derive(Clone, Copy, PartialEq)]
-enum Trust {
+enum SampleWeighting {
     All,
     /// Those that match the print.
     Robust,
@@ -162,9 +164,9 @@ impl ComparedCorners<'_> {
                 return NO_PRINT;
             }
             self.samples.gather(self.image, patch, window, light);
-            let mean_square = match self.trust {
-                Trust::All => self.samples.mean_square_of_all(light),
-                Trust::Robust => self.samples.align(light).map(|it| it.mean_square),
+            let mean_square = match self.weighting {
+                SampleWeighting::All => self.samples.mean_square_of_all(light),
+                SampleWeighting::Robust => self.samples.align(light).map(|it| it.mean_square),
             };
             mean_square.unwrap_or(NO_PRINT)
         });

@@ -1,17 +1,17 @@
 //! The second fit of a corner: in a large window, with the edges' curvature, the light and the
 //! noise estimated from the whole board.
 
-use crate::detection::refine::beside::{Beside, LightOfItsOwn, Nearby};
 use crate::detection::refine::corner_model::{CornerModel, length};
 use crate::detection::refine::fit::{FitOptions, position_covariance};
 use crate::detection::refine::fitted::Fitted;
 use crate::detection::refine::grid_corner::GridCorner;
 use crate::detection::refine::lattice::axes_of;
+use crate::detection::refine::local_light::LocalLightFit;
 use crate::detection::refine::normal_equations::{CornerEquations, Linearized, Noise};
-use crate::detection::refine::own_light::OwnLight;
 use crate::detection::refine::refiner::Refiner;
 use crate::detection::refine::shading::{joint_step, take_off_shading};
 use crate::detection::refine::window::Window;
+use crate::detection::refine::window_context::{LocalLightCriterion, NearbyPrint, WindowContext};
 use crate::imaging::gray::GrayView;
 
 impl Refiner {
@@ -22,9 +22,9 @@ impl Refiner {
         corner: &GridCorner,
         first: &Fitted,
         noise: [f64; 2],
-        beside: Beside<'_>,
+        context: WindowContext<'_>,
     ) -> Option<Fitted> {
-        let free = if beside.print.is_some() { 1.0 } else { 1.0 - self.taken };
+        let free = if context.print.is_some() { 1.0 } else { 1.0 - self.taken };
         let axes = axes_of(corner)?;
         let window =
             Window::new(first.center(), axes, first.blur_px(), self.thresholds.second_reach, free);
@@ -32,11 +32,11 @@ impl Refiner {
         self.gather(image, &window)?;
         let bin = window.bin as f64;
         let mut start = first.fit.model.rescaled(first.window.bin as f64, bin);
-        let around = self.lattice.surroundings(corner.index, first.window.axes);
+        let around = self.lattice.prior_of(corner.index, first.window.axes);
         start.center = [0.0; 2];
         start.curvature = around.curvature.map(|c| c * bin);
         start.gradient = around.light_gradient.map(|g| g * bin);
-        if let Some((slot, Nearby { print, rendering })) = beside.print
+        if let Some((slot, NearbyPrint { print, rendering })) = context.print
             && self.patch.render(print, slot, &window, rendering.blur)
         {
             self.patch.take_off(&mut self.samples, &start, rendering.power);
@@ -52,11 +52,11 @@ impl Refiner {
             iterations: [1, 4],
             enough: self.thresholds.second_enough,
             alike: 0.0,
-            with_flat: beside.print.is_some(),
+            with_flat: context.print.is_some(),
         };
         let second = self.fit(window, start, &noise, &options)?;
-        let lit = beside.light.and_then(|light| self.fit_lit(window, &second, &noise, light));
-        if beside.shaded {
+        let lit = context.light.and_then(|light| self.fit_lit(window, &second, &noise, light));
+        if context.shaded {
             let shaded = self.fit_shaded(window, second.fit.model, &noise, &options);
             return [lit, shaded]
                 .into_iter()
@@ -89,9 +89,9 @@ impl Refiner {
         window: Window,
         second: &Fitted,
         noise: &Noise,
-        light: LightOfItsOwn,
+        light: LocalLightCriterion,
     ) -> Option<Fitted> {
-        let corner_and_light = OwnLight {
+        let corner_and_light = LocalLightFit {
             samples: &self.samples,
             noise,
             tolerances: &self.thresholds.shaded_tolerances,

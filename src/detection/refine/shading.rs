@@ -38,7 +38,7 @@ pub(super) fn take_off_shading(samples: &mut Samples, columns: &ModelColumns, re
         (f64::from(weight * weight), of(pattern), of(residuals))
     };
     let mut sums = LightSums::default();
-    pulp::Arch::new().dispatch(TakeLight { samples, columns, reach, sums: &mut sums });
+    pulp::Arch::new().dispatch(LightSummation { samples, columns, reach, sums: &mut sums });
     let LightSums { products, total } = sums;
     let mut normal = SMatrix::<f64, TERMS, TERMS>::from_fn(|row, col| products[row][col]);
     let right = SVector::<f64, TERMS>::from_fn(|row, _| products[row][TERMS]);
@@ -85,7 +85,7 @@ pub(super) fn joint_step(
     amplitude: f64,
 ) -> Option<JointStep> {
     let mut sums = JointSums::default();
-    pulp::Arch::new().dispatch(TakeJoint { samples, columns, reach, sums: &mut sums });
+    pulp::Arch::new().dispatch(JointSummation { samples, columns, reach, sums: &mut sums });
     let mut normal = SMatrix::<f64, JOINT, JOINT>::from_fn(|row, col| sums.products[row][col]);
     let right = SVector::<f64, JOINT>::from(sums.right);
     for k in 0..JOINT {
@@ -124,14 +124,14 @@ struct LightSums {
 }
 
 /// A struct, not a closure: all of it must be inlined to be compiled for the processor.
-struct TakeLight<'a> {
+struct LightSummation<'a> {
     samples: &'a Samples,
     columns: &'a ModelColumns,
     reach: f64,
     sums: &'a mut LightSums,
 }
 
-impl pulp::NullaryFnOnce for TakeLight<'_> {
+impl pulp::NullaryFnOnce for LightSummation<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -171,14 +171,14 @@ impl Default for JointSums {
 }
 
 /// A struct, not a closure: all of it must be inlined to be compiled for the processor.
-struct TakeJoint<'a> {
+struct JointSummation<'a> {
     samples: &'a Samples,
     columns: &'a ModelColumns,
     reach: f64,
     sums: &'a mut JointSums,
 }
 
-impl pulp::NullaryFnOnce for TakeJoint<'_> {
+impl pulp::NullaryFnOnce for JointSummation<'_> {
     type Output = ();
 
     #[inline(always)]

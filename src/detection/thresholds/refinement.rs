@@ -1,7 +1,7 @@
 //! The thresholds of a corner's fit.
 //!
 //! The constants of the statistics of whole boards stand beside their formulas in `refine/`:
-//! `misfit`, `scatter`, `straightness`, `own_curvature` and `noise`.
+//! `misfit`, `scatter`, `straightness`, `edge_curvature` and `noise`.
 
 use crate::detection::thresholds::entry::{ThresholdOrigin, thresholds};
 

@@ -18,7 +18,7 @@ struct Edge {
 
 /// Measurements of one image, reused from image to image.
 #[derive(Debug, Default)]
-pub(super) struct Followed {
+pub(super) struct EdgeMeasurements {
     /// Each corner's offset from its prediction.
     pub(super) off: Vec<Option<Vec2>>,
     edges: Vec<Edge>,
@@ -34,7 +34,7 @@ fn nearest(image: GrayView<'_>, p: Vec2) -> Option<f32> {
     inside.then(|| f32::from(image.row(y as usize)[x as usize]))
 }
 
-impl Followed {
+impl EdgeMeasurements {
     /// Measures the edges of the whole board in `grid`. Returns whether enough of them hold, and at
     /// least half of them at each corner.
     pub(super) fn edges_hold(

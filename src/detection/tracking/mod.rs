@@ -19,7 +19,7 @@ use crate::detection::measure::cross::CrossWindow;
 use crate::detection::measure::prediction::Prediction;
 use crate::detection::report::{ReportBuffers, detection, take_guesses};
 use crate::detection::search::FoundGrid;
-use crate::detection::tracking::board_edges::Followed;
+use crate::detection::tracking::board_edges::EdgeMeasurements;
 use crate::detection::tracking::last_board::LastBoard;
 use crate::detection::tracking::sampled::{keep_spread, measured_std_px};
 use crate::detection::verify::consistency::off_neighbors;
@@ -44,7 +44,7 @@ pub struct TrackedBoard {
 pub(in crate::detection) struct Tracker {
     last: LastBoard,
     grid: Grid,
-    followed: Followed,
+    followed: EdgeMeasurements,
 }
 
 impl Tracker {

@@ -12,8 +12,9 @@ use crate::detection::thresholds::chessboard::ConsistencyThresholds;
 pub(in crate::detection) fn verify(probe: Probe<'_>, grid: &mut Grid) -> bool {
     let total = drop_loose(probe, grid);
     let thresholds = &probe.thresholds.consistency;
-    let believed = total.seen > 0 && total.held as f32 >= thresholds.least_held * total.seen as f32;
-    believed && drop_misplaced(grid, thresholds)
+    let is_consistent =
+        total.seen > 0 && total.held as f32 >= thresholds.least_held * total.seen as f32;
+    is_consistent && drop_misplaced(grid, thresholds)
 }
 
 /// Drops corners at which most edges fail. Each drop removes an edge from others, so it iterates.

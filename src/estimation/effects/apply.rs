@@ -1,10 +1,10 @@
 //! Adds board shape and motion to a plain fit, one of lens and poses only.
 
 use crate::estimation::camera_fit::CameraFit;
-use crate::estimation::effects::effect::Wanted;
+use crate::estimation::effects::effect::CandidateEffects;
 use crate::estimation::effects::effects_fit::EffectsFit;
 use crate::estimation::effects::fit::{Corners, Effects, fit_effects, fit_same_effects};
-use crate::estimation::effects::hints::plausible;
+use crate::estimation::effects::score_tests::plausible;
 use crate::estimation::joint::minimize::{Minimum, Stop};
 use crate::estimation::problem::{BoardShape, CameraOptions, Shutter};
 use crate::estimation::robust::Loss;
@@ -23,13 +23,14 @@ pub(crate) fn with_effects_from(
     size: ImageSize,
     options: &CameraOptions,
 ) -> CameraFit {
-    let Some(wanted) = wanted(&fit, options) else { return fit };
+    let Some(candidates) = candidates(&fit, options) else { return fit };
     let sides = [size.width, size.height].map(f64::from);
-    let Some(Effects { found, shutter_doubt }) = fit_effects(&fit, found, sides, wanted) else {
+    let Some(Effects { found, shutter_uncertainty }) = fit_effects(&fit, found, sides, candidates)
+    else {
         return fit;
     };
-    let with = found.and_then(|found| carried_on(&fit, size, found));
-    CameraFit { shutter_doubt, ..with.unwrap_or(fit) }
+    let with = found.and_then(|found| continued(&fit, size, found));
+    CameraFit { shutter_uncertainty, ..with.unwrap_or(fit) }
 }
 
 /// Continues a plain fit with the same effects that were `found` with another lens on the same
@@ -42,29 +43,29 @@ pub(crate) fn with_same_effects(
 ) -> Option<CameraFit> {
     let same = fit_same_effects(fit, found, f64::from(size.height))?;
     let (observations, faults) = (fit.observations.clone(), fit.faults.clone());
-    carried_on(fit, size, (same, Corners { observations, faults, limit: fit.robust.limit }))
+    continued(fit, size, (same, Corners { observations, faults, limit: fit.robust.limit }))
 }
 
 /// Whether the residuals of a plain fit of one camera hint at effects that [`with_effects`]
 /// searches for.
 pub(crate) fn may_have_effects(fit: &CameraFit, size: ImageSize, options: &CameraOptions) -> bool {
     let size = [size.width, size.height].map(f64::from);
-    wanted(fit, options).and_then(|wanted| plausible(fit, size, wanted)).is_some()
+    candidates(fit, options).and_then(|candidates| plausible(fit, size, candidates)).is_some()
 }
 
 /// The effects to search for. `None` where the options ask for none, or the fit cannot have any.
-fn wanted(fit: &CameraFit, options: &CameraOptions) -> Option<Wanted> {
-    let wanted = Wanted {
+fn candidates(fit: &CameraFit, options: &CameraOptions) -> Option<CandidateEffects> {
+    let candidates = CandidateEffects {
         shape: options.board_shape != BoardShape::Flat && options.measured_board.is_none(),
         motion: options.shutter != Shutter::Global,
-        shape_for_certain: options.board_shape == BoardShape::Free,
-        motion_for_certain: options.shutter == Shutter::Rolling,
+        is_shape_required: options.board_shape == BoardShape::Free,
+        is_motion_required: options.shutter == Shutter::Rolling,
     };
     let can_have = !fit.is_exact() && fit.layout.sensors.len() == 1;
-    (can_have && (wanted.shape || wanted.motion)).then_some(wanted)
+    (can_have && (candidates.shape || candidates.motion)).then_some(candidates)
 }
 
-fn carried_on(
+fn continued(
     plain: &CameraFit,
     size: ImageSize,
     (found, corners): (EffectsFit, Corners),

@@ -16,34 +16,36 @@ use crate::geometry::pose::{Pose, pose_step};
 
 impl EffectsFit {
     /// The mean of this fit, which has a rolling shutter and the weight `agreement`, and of
-    /// `still`, which has none. `full` is the basis that contains both. The covariance of the lens
-    /// does not include the difference between the two lenses.
+    /// `global_shutter`, which has none. `full` is the basis that contains both. The covariance of
+    /// the lens does not include the difference between the two lenses.
     ///
     /// `None` where the mean parameters are not those of a valid lens.
     pub(super) fn averaged_with(
         &self,
-        still: &Self,
+        global_shutter: &Self,
         full: &BoardBasis,
         agreement: f64,
     ) -> Option<Self> {
         let (p, q) = (agreement, 1.0 - agreement);
-        let variances = union(full, &self.variances, &still.variances);
+        let variances = union(full, &self.variances, &global_shutter.variances);
         let (basis, _) = full.only(&variances.effects());
-        let [own, other] = [self, still].map(|fit| fit.indices_in(&basis));
-        let [own_shape, other_shape] = [(self, &own), (still, &other)]
+        let [own, other] = [self, global_shutter].map(|fit| fit.indices_in(&basis));
+        let [own_shape, other_shape] = [(self, &own), (global_shutter, &other)]
             .map(|(fit, indices)| widened(&fit.state.shape, indices, basis.len()));
         let difference = &own_shape - &other_shape;
-        let [own_covariance, other_covariance] = [(self, &own), (still, &other)]
+        let [own_covariance, other_covariance] = [(self, &own), (global_shutter, &other)]
             .map(|(fit, indices)| widened_square(&fit.shape_covariance, indices, basis.len()));
-        let inflation = p * self.inflation + q * still.inflation;
-        let mut fixed = if p > q { &self.state.fixed } else { &still.state.fixed }.clone();
-        fixed.lenses[0] = mean_lens([&self.state, &still.state].map(|s| &s.fixed.lenses[0]), p)?;
+        let inflation = p * self.inflation + q * global_shutter.inflation;
+        let mut fixed = if p > q { &self.state.fixed } else { &global_shutter.state.fixed }.clone();
+        fixed.lenses[0] =
+            mean_lens([&self.state, &global_shutter.state].map(|s| &s.fixed.lenses[0]), p)?;
         let pose_covariances = (0..self.pose_covariances.len())
             .map(|index| {
-                let [own, other] = [self, still].map(|fit| fit.pose_covariances[index]);
+                let [own, other] = [self, global_shutter].map(|fit| fit.pose_covariances[index]);
                 // With one camera, an observation's index is that of its frame set.
-                let [a, b] = [self, still].map(|fit| &fit.state.fixed.rig_from_board[index]);
-                let within = own? * (p * self.inflation) + other? * (q * still.inflation);
+                let [a, b] =
+                    [self, global_shutter].map(|fit| &fit.state.fixed.rig_from_board[index]);
+                let within = own? * (p * self.inflation) + other? * (q * global_shutter.inflation);
                 let difference = step_between(a, b);
                 Some((within + difference * (p * q)) / inflation)
             })
@@ -55,10 +57,10 @@ impl EffectsFit {
                 motions: self.state.motions.iter().map(|motion| motion * p).collect(),
             },
             variances,
-            noise_square: p * self.noise_square + q * still.noise_square,
-            lens_covariance: &self.lens_covariance * p + &still.lens_covariance * q,
+            noise_square: p * self.noise_square + q * global_shutter.noise_square,
+            lens_covariance: &self.lens_covariance * p + &global_shutter.lens_covariance * q,
             inflation,
-            weight_of_views: p * self.weight_of_views + q * still.weight_of_views,
+            weight_of_views: p * self.weight_of_views + q * global_shutter.weight_of_views,
             pose_covariances,
             shape_covariance: own_covariance * p
                 + other_covariance * q
@@ -70,12 +72,13 @@ impl EffectsFit {
 
     /// The effects that were found, with the given lens and poses, in a scene of the same views.
     pub(super) fn state_in(&self, scene: Scene<'_>, fixed: State, moves: bool) -> EffectsState {
-        let still = EffectsState::flat_and_still(fixed, scene.basis, scene.observations.len());
+        let global_shutter =
+            EffectsState::without_effects(fixed, scene.basis, scene.observations.len());
         let shape = widened(&self.state.shape, &self.indices_in(scene.basis), scene.basis.len());
         EffectsState {
             shape: shape.as_slice().to_vec(),
-            motions: if moves { self.state.motions.clone() } else { still.motions },
-            ..still
+            motions: if moves { self.state.motions.clone() } else { global_shutter.motions },
+            ..global_shutter
         }
     }
 
@@ -88,7 +91,7 @@ impl EffectsFit {
 /// The effects that are in either model, in the order of `full`.
 fn union(full: &BoardBasis, a: &Variances, b: &Variances) -> Variances {
     let heights = full.height_groups().into_iter().map(Effect::Height);
-    let others = [Effect::Stretch, Effect::Own, Effect::Rotation, Effect::Translation];
+    let others = [Effect::Stretch, Effect::PointOffset, Effect::Rotation, Effect::Translation];
     let known = |effect: Effect| {
         let lambda = a.of(effect).or_else(|| b.of(effect))?;
         Some(EffectVariance { effect, lambda })

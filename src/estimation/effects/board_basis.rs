@@ -53,7 +53,7 @@ pub(crate) struct BoardBasis {
     /// In the plane: aspect and shear, as (x, y) at each point.
     pub(super) stretches: Vec<Vec<[f64; 2]>>,
     /// Whether each point has an offset of its own.
-    pub(super) has_own: bool,
+    pub(super) has_point_offsets: bool,
 }
 
 impl BoardBasis {
@@ -91,7 +91,7 @@ impl BoardBasis {
         let normalized: Vec<[f64; 2]> =
             points.iter().map(|p| [p.x / half_extent[0], p.y / half_extent[1]]).collect();
         let heights = heights(&normalized, if in_detail { MAX_DEGREE } else { ROUGH_DEGREE });
-        let has_own = in_detail && points.len() <= MAX_OWN;
+        let has_point_offsets = in_detail && points.len() <= MAX_OWN;
         let mean_square = |of: &dyn Fn(&Point3<f64>) -> f64| {
             (points.iter().map(|p| of(p).powi(2)).sum::<f64>() / points.len() as f64).sqrt()
         };
@@ -106,7 +106,7 @@ impl BoardBasis {
             half_extent,
             heights,
             stretches,
-            has_own,
+            has_point_offsets,
         })
     }
 
@@ -120,7 +120,7 @@ impl BoardBasis {
     /// Number of a shape's coefficients: heights, stretches, then x and y of each point's own
     /// offset.
     pub(crate) fn len(&self) -> usize {
-        self.smooth_len() + if self.has_own { 2 * self.points.len() } else { 0 }
+        self.smooth_len() + if self.has_point_offsets { 2 * self.points.len() } else { 0 }
     }
 
     /// Number of coefficients of the functions that extend over all points.
@@ -158,7 +158,7 @@ impl BoardBasis {
         let stretches = self.stretches.iter().map(|stretch| {
             stretch.iter().zip(offsets).map(|([x, y], o)| x * o.x + y * o.y).sum::<f64>()
         });
-        let own = offsets.iter().filter(|_| self.has_own).flat_map(|o| [o.x, o.y]);
+        let own = offsets.iter().filter(|_| self.has_point_offsets).flat_map(|o| [o.x, o.y]);
         heights.chain(stretches).chain(own).collect()
     }
 }

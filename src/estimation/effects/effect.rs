@@ -10,7 +10,7 @@ pub(crate) enum Effect {
     /// The board's aspect and shear.
     Stretch,
     /// Each corner's own offset in the plane.
-    Own,
+    PointOffset,
     /// The board's rotation during the read-out of an image.
     Rotation,
     /// The board's translation during the read-out of an image.
@@ -32,7 +32,7 @@ impl Effect {
                 start..basis.heights.partition_point(|(other, _)| *other <= group)
             }
             Self::Stretch => heights..smooth,
-            Self::Own => smooth..basis.len(),
+            Self::PointOffset => smooth..basis.len(),
             Self::Rotation => 0..3,
             Self::Translation => 3..6,
         }
@@ -43,17 +43,17 @@ impl BoardBasis {
     /// The basis with only the functions that belong to `effects`, and the indices of their
     /// coefficients in this basis.
     pub(super) fn only(&self, effects: &[Effect]) -> (Self, Vec<usize>) {
-        let wanted = |effect: Effect| effects.contains(&effect);
+        let contains = |effect: Effect| effects.contains(&effect);
         let kept: Vec<usize> = effects
             .iter()
             .filter(|effect| !effect.is_motion())
             .flat_map(|effect| effect.range(self))
             .collect();
-        let heights = self.heights.iter().filter(|(group, _)| wanted(Effect::Height(*group)));
+        let heights = self.heights.iter().filter(|(group, _)| contains(Effect::Height(*group)));
         let narrow = Self {
             heights: heights.cloned().collect(),
-            stretches: if wanted(Effect::Stretch) { self.stretches.clone() } else { Vec::new() },
-            has_own: self.has_own && wanted(Effect::Own),
+            stretches: if contains(Effect::Stretch) { self.stretches.clone() } else { Vec::new() },
+            has_point_offsets: self.has_point_offsets && contains(Effect::PointOffset),
             ..self.clone()
         };
         (narrow, kept)
@@ -62,9 +62,9 @@ impl BoardBasis {
 
 /// Which effects are tested, and which are in the model regardless of the evidence.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Wanted {
+pub(crate) struct CandidateEffects {
     pub(crate) shape: bool,
     pub(crate) motion: bool,
-    pub(crate) shape_for_certain: bool,
-    pub(crate) motion_for_certain: bool,
+    pub(crate) is_shape_required: bool,
+    pub(crate) is_motion_required: bool,
 }

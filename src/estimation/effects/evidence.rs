@@ -109,7 +109,7 @@ impl Variances {
         // mean square of 1, and a point's own offset is of one point.
         let mean_square = |EffectVariance { effect, lambda }: &EffectVariance| match effect {
             Effect::Height(_) => effect.range(basis).len() as f64 / lambda,
-            Effect::Own => 2.0 / lambda,
+            Effect::PointOffset => 2.0 / lambda,
             Effect::Stretch | Effect::Rotation | Effect::Translation => 0.0,
         };
         let others: f64 = self.0.iter().map(mean_square).sum();
@@ -159,7 +159,7 @@ struct Eliminated {
 
 /// The equations of the global parameters for one choice of variances, poses and motions
 /// eliminated.
-pub(super) struct Reduced<'a> {
+pub(super) struct ReducedSystem<'a> {
     system: &'a System,
     basis: &'a BoardBasis,
     variances: &'a Variances,
@@ -184,7 +184,7 @@ struct ResidualNoise {
     freedom: f64,
 }
 
-impl<'a> Reduced<'a> {
+impl<'a> ReducedSystem<'a> {
     pub(super) fn of(
         system: &'a System,
         state: &EffectsState,

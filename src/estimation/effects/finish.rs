@@ -18,9 +18,9 @@ use crate::geometry::lens::Lens;
 impl EffectSearch {
     pub(super) fn finished(mut self, scene: Scene<'_>) -> Option<EffectsFit> {
         let basis = Rc::clone(&self.basis);
-        let (scene, lens) = (self.narrowed(scene, &basis), scene.layout.len);
+        let (scene, lens) = (self.restricted(scene, &basis), scene.layout.len);
         let of_motion = self.moves().then(|| self.variances.of_motion(&self.system));
-        let posterior = self.here.take().or_else(|| self.posterior(scene))?;
+        let posterior = self.last_posterior.take().or_else(|| self.posterior(scene))?;
         let noise_square = posterior.noise_square;
         let all = posterior.covariance();
         let size = basis.len();

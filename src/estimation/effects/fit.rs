@@ -5,10 +5,10 @@ use nalgebra::DVector;
 
 use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::effects::board_basis::BoardBasis;
-use crate::estimation::effects::effect::Wanted;
+use crate::estimation::effects::effect::CandidateEffects;
 use crate::estimation::effects::effects_fit::EffectsFit;
-use crate::estimation::effects::hints::plausible;
-use crate::estimation::effects::read_by_rows::ReadByRows;
+use crate::estimation::effects::rolling_shutter_test::RollingShutterTest;
+use crate::estimation::effects::score_tests::plausible;
 use crate::estimation::effects::search::EffectSearch;
 use crate::estimation::effects::state::Scene;
 use crate::estimation::joint::{BoardObservation, State};
@@ -35,8 +35,8 @@ impl Corners {
 pub(crate) struct Effects {
     /// `None` where they show no effect.
     pub(crate) found: Option<(EffectsFit, Corners)>,
-    /// As [`CameraFit::shutter_doubt`].
-    pub(crate) shutter_doubt: Option<DVector<f64>>,
+    /// As [`CameraFit::shutter_uncertainty`].
+    pub(crate) shutter_uncertainty: Option<DVector<f64>>,
 }
 
 /// Fewer views than this determine nothing beyond lens and poses.
@@ -55,10 +55,10 @@ pub(crate) fn fit_effects(
     plain: &CameraFit,
     found: Option<&EffectsFit>,
     size: [f64; 2],
-    wanted: Wanted,
+    candidates: CandidateEffects,
 ) -> Option<Effects> {
     let [width, rows] = size;
-    let wanted = plausible(plain, size, wanted)?;
+    let candidates = plausible(plain, size, candidates)?;
     let basis = BoardBasis::of(&plain.observations, true)?;
     let good = plain.good_views();
     if good.len() < MIN_VIEWS {
@@ -75,33 +75,33 @@ pub(crate) fn fit_effects(
     };
     // Views that alone saw a part of the board may be absent here: the bases then differ.
     let found = found.filter(|found| found.basis.points == basis.points);
-    let start = WalkStart { state: &plain.robust.minimum.state, found };
-    let weighed = start.weighed(Scene { good: &good, ..whole }, wanted, width)?;
+    let start = SearchStart { state: &plain.robust.minimum.state, found };
+    let comparison = start.shutter_comparison(Scene { good: &good, ..whole }, candidates, width)?;
     let mut chosen = Corners {
         observations: plain.observations.clone(),
         faults: plain.faults.clone(),
         limit: plain.robust.limit,
     };
     let scene = Scene { good: &good, ..whole };
-    let Weighed { walk, without, shutter_doubt } =
-        start.without_exceptions(weighed, &mut chosen, (scene, wanted, width))?;
-    if walk.variances.0.is_empty() {
-        return Some(Effects { found: None, shutter_doubt });
+    let ShutterComparison { search, without, shutter_uncertainty } =
+        start.without_outlier_views(comparison, &mut chosen, (scene, candidates, width))?;
+    if search.variances.0.is_empty() {
+        return Some(Effects { found: None, shutter_uncertainty });
     }
     // Where the shutter has only a part of the weight, readmitted views that motion explains would
     // be outliers of the model without it.
-    let CornersChosen { walk, corners, good } =
-        CornersChosen::beside(walk, chosen, whole, wanted, without.is_none())?;
+    let CornerSelection { search, corners, good } =
+        CornerSelection::alternate(search, chosen, whole, candidates, without.is_none())?;
     let scene = Scene { observations: &corners.observations, good: &good, ..whole };
-    let found = walk.finished(scene)?;
-    let Some(WithoutMotion { still, by_rows }) = without else {
-        return Some(Effects { found: Some((found, corners)), shutter_doubt });
+    let found = search.finished(scene)?;
+    let Some(GlobalShutterFit { global_shutter, shutter_test }) = without else {
+        return Some(Effects { found: Some((found, corners)), shutter_uncertainty });
     };
-    let still = still.settled_again(scene)?.finished(scene)?;
-    let difference = lens_difference(found.lens(), still.lens());
-    let shutter_doubt = Some(difference * by_rows.error());
-    let found = found.averaged_with(&still, &basis, by_rows.agreement)?;
-    Some(Effects { found: Some((found, corners)), shutter_doubt })
+    let global_shutter = global_shutter.reconverged(scene)?.finished(scene)?;
+    let difference = lens_difference(found.lens(), global_shutter.lens());
+    let shutter_uncertainty = Some(difference * shutter_test.error());
+    let found = found.averaged_with(&global_shutter, &basis, shutter_test.agreement)?;
+    Some(Effects { found: Some((found, corners)), shutter_uncertainty })
 }
 
 /// The same effects that were `found` with another lens, estimated with the lens of a plain fit to
@@ -127,8 +127,8 @@ pub(crate) fn fit_same_effects(
     if found.shutter_agreement >= 1.0 {
         return Some(with);
     }
-    let still = EffectSearch::same_as(scene, from(), false)?.finished(scene)?;
-    with.averaged_with(&still, &basis, found.shutter_agreement)
+    let global_shutter = EffectSearch::same_as(scene, from(), false)?.finished(scene)?;
+    with.averaged_with(&global_shutter, &basis, found.shutter_agreement)
 }
 
 /// The difference between the parameters of two lenses, `lens` minus `other`.
@@ -139,82 +139,102 @@ fn lens_difference(lens: &Lens, other: &Lens) -> DVector<f64> {
 
 /// Where a search begins.
 #[derive(Clone, Copy)]
-struct WalkStart<'a> {
+struct SearchStart<'a> {
     /// The plain fit's.
     state: &'a State,
     /// Effects that were found with another lens or other poses.
     found: Option<&'a EffectsFit>,
 }
 
-impl WalkStart<'_> {
-    fn settled(&self, scene: Scene<'_>, wanted: Wanted) -> Option<EffectSearch> {
+impl SearchStart<'_> {
+    fn converged(&self, scene: Scene<'_>, candidates: CandidateEffects) -> Option<EffectSearch> {
         let state = self.state.clone();
-        let walk = match self.found {
-            Some(found) => EffectSearch::from_found(scene, state, found, wanted),
-            None => EffectSearch::start(scene, state, wanted),
+        let search = match self.found {
+            Some(found) => EffectSearch::from_found(scene, state, found, candidates),
+            None => EffectSearch::start(scene, state, candidates),
         };
-        walk?.settled(scene, wanted)
+        search?.converged(scene, candidates)
     }
 
     /// A converged search; one without effects where none is significant.
-    fn settled_or_bare(&self, scene: Scene<'_>, wanted: Wanted) -> Option<EffectSearch> {
-        let bare = || EffectSearch::bare(scene, self.state.clone());
-        self.settled(scene, wanted).or_else(bare)
+    fn converged_or_without_effects(
+        &self,
+        scene: Scene<'_>,
+        candidates: CandidateEffects,
+    ) -> Option<EffectSearch> {
+        let without_effects = || EffectSearch::without_effects(scene, self.state.clone());
+        self.converged(scene, candidates).or_else(without_effects)
     }
 
     /// A converged search. Its motion is compared with none, unless motion is in the model for
     /// certain.
-    fn weighed(&self, scene: Scene<'_>, wanted: Wanted, width: f64) -> Option<Weighed> {
-        let walk = self.settled(scene, wanted)?;
-        if !walk.moves() || wanted.motion_for_certain {
-            return Some(Weighed { walk, without: None, shutter_doubt: None });
+    fn shutter_comparison(
+        &self,
+        scene: Scene<'_>,
+        candidates: CandidateEffects,
+        width: f64,
+    ) -> Option<ShutterComparison> {
+        let search = self.converged(scene, candidates)?;
+        if !search.moves() || candidates.is_motion_required {
+            return Some(ShutterComparison { search, without: None, shutter_uncertainty: None });
         }
-        let still = || self.settled_or_bare(scene, Wanted { motion: false, ..wanted });
-        Weighed::of(walk, still, scene, width)
+        let global_shutter = || {
+            self.converged_or_without_effects(
+                scene,
+                CandidateEffects { motion: false, ..candidates },
+            )
+        };
+        ShutterComparison::of(search, global_shutter, scene, width)
     }
 
-    /// `weighed`, without views that are exceptions: motion also explains part of the residuals of
-    /// another board or camera. Their faults are recorded in `chosen`.
-    fn without_exceptions(
+    /// `comparison`, without views that are exceptions: motion also explains part of the residuals
+    /// of another board or camera. Their faults are recorded in `chosen`.
+    fn without_outlier_views(
         &self,
-        weighed: Weighed,
+        comparison: ShutterComparison,
         chosen: &mut Corners,
-        (scene, wanted, width): (Scene<'_>, Wanted, f64),
-    ) -> Option<Weighed> {
-        if !weighed.walk.moves() || wanted.motion_for_certain {
-            return Some(weighed);
+        (scene, candidates, width): (Scene<'_>, CandidateEffects, f64),
+    ) -> Option<ShutterComparison> {
+        if !comparison.search.moves() || candidates.is_motion_required {
+            return Some(comparison);
         }
-        let Some(residuals) = self.still_residuals(&weighed, (scene, wanted)) else {
-            return Some(weighed);
+        let Some(residuals) = self.global_shutter_residuals(&comparison, (scene, candidates))
+        else {
+            return Some(comparison);
         };
-        match self.without_few(&residuals, chosen, (scene, wanted, width)) {
+        match self.without_outliers(&residuals, chosen, (scene, candidates, width)) {
             Some(rest) => Some(rest),
-            None => self.without_odd(weighed, residuals, chosen, (scene, wanted, width)),
+            None => {
+                self.without_odd_motion(comparison, residuals, chosen, (scene, candidates, width))
+            }
         }
     }
 
     /// Every corner's residuals in a fit without motion.
-    fn still_residuals(
+    fn global_shutter_residuals(
         &self,
-        weighed: &Weighed,
-        (scene, wanted): (Scene<'_>, Wanted),
+        comparison: &ShutterComparison,
+        (scene, candidates): (Scene<'_>, CandidateEffects),
     ) -> Option<Vec<Vec<[f64; 2]>>> {
-        if let Some(without) = &weighed.without {
-            return Some(without.still.system.residuals.clone());
+        if let Some(without) = &comparison.without {
+            return Some(without.global_shutter.system.residuals.clone());
         }
-        let still = self.settled_or_bare(scene, Wanted { motion: false, ..wanted })?;
-        Some(still.system.residuals)
+        let global_shutter = self.converged_or_without_effects(
+            scene,
+            CandidateEffects { motion: false, ..candidates },
+        )?;
+        Some(global_shutter.system.residuals)
     }
 
     /// A search without the views that are outliers of the fit without motion, whose `residuals`
     /// are given. `None` unless there are some but few of these, and the other views show effects
     /// but no motion.
-    fn without_few(
+    fn without_outliers(
         &self,
         residuals: &[Vec<[f64; 2]>],
         chosen: &mut Corners,
-        (scene, wanted, width): (Scene<'_>, Wanted, f64),
-    ) -> Option<Weighed> {
+        (scene, candidates, width): (Scene<'_>, CandidateEffects, f64),
+    ) -> Option<ShutterComparison> {
         let (mut observations, mut faults) = (chosen.observations.clone(), chosen.faults.clone());
         let limit = LIMIT * scale_of(&observations, residuals).max(ROUNDING);
         select(&mut observations, residuals, limit, &mut faults);
@@ -226,8 +246,8 @@ impl WalkStart<'_> {
         }
         // Where the other views show no effect at all, there is no fit with effects to continue
         // from.
-        let rest = self.weighed(Scene { good: &good, ..scene }, wanted, width)?;
-        if rest.walk.moves() || rest.walk.variances.0.is_empty() {
+        let rest = self.shutter_comparison(Scene { good: &good, ..scene }, candidates, width)?;
+        if rest.search.moves() || rest.search.variances.0.is_empty() {
             return None;
         }
         for view in scene.good.iter().filter(|view| faults[**view].is_some()) {
@@ -237,20 +257,20 @@ impl WalkStart<'_> {
         Some(rest)
     }
 
-    /// `weighed`, without views whose motion is incompatible with that of the others. They are
+    /// `comparison`, without views whose motion is incompatible with that of the others. They are
     /// tested one at a time: each time the one with the largest `residuals` in the fit without
     /// motion.
-    fn without_odd(
+    fn without_odd_motion(
         &self,
-        mut weighed: Weighed,
+        mut comparison: ShutterComparison,
         mut residuals: Vec<Vec<[f64; 2]>>,
         chosen: &mut Corners,
-        (scene, wanted, width): (Scene<'_>, Wanted, f64),
-    ) -> Option<Weighed> {
+        (scene, candidates, width): (Scene<'_>, CandidateEffects, f64),
+    ) -> Option<ShutterComparison> {
         let mut good = scene.good.to_vec();
         // Effects that were found with a view of odd motion are biased by it, so each search starts
         // from scratch.
-        let fresh = WalkStart { found: None, ..*self };
+        let fresh = SearchStart { found: None, ..*self };
         for _ in 0..scene.good.len() / FEW_PART {
             let scene = Scene { good: &good, ..scene };
             let mean_square = |view: usize| {
@@ -264,55 +284,55 @@ impl WalkStart<'_> {
             let Some(view) = good.iter().copied().max_by(worst) else { break };
             let others: Vec<usize> = good.iter().copied().filter(|other| *other != view).collect();
             let without = Scene { good: &others, ..scene };
-            let rest = fresh.settled_or_bare(without, wanted);
+            let rest = fresh.converged_or_without_effects(without, candidates);
             let odd = rest.and_then(|rest| rest.odd_motion(scene, view));
             let Some(times) = odd else { break };
             // Where the other views show no effect at all, there is no fit with effects to continue
             // from.
-            let Some(next) = fresh.weighed(without, wanted, width) else { break };
-            let at_rest = fresh.still_residuals(&next, (without, wanted));
-            if next.walk.variances.0.is_empty() {
+            let Some(next) = fresh.shutter_comparison(without, candidates, width) else { break };
+            let at_rest = fresh.global_shutter_residuals(&next, (without, candidates));
+            if next.search.variances.0.is_empty() {
                 break;
             }
-            weighed = next;
+            comparison = next;
             chosen.observations[view].used.fill(false);
             chosen.faults[view] = Some(ViewFault::OddMotion { times });
-            let Some(at_rest) = at_rest.filter(|_| weighed.walk.moves()) else { break };
+            let Some(at_rest) = at_rest.filter(|_| comparison.search.moves()) else { break };
             residuals = at_rest;
             good = others;
         }
-        Some(weighed)
+        Some(comparison)
     }
 }
 
 /// A search, and the inlier corners and views under its effects.
-struct CornersChosen {
-    walk: EffectSearch,
+struct CornerSelection {
+    search: EffectSearch,
     corners: Corners,
     good: Vec<usize>,
 }
 
-impl CornersChosen {
-    /// Alternates between selecting corners by the residuals of `walk` and continuing the search,
+impl CornerSelection {
+    /// Alternates between selecting corners by the residuals of `search` and continuing the search,
     /// until the selection no longer changes. `None` where too few views are good. With `readmits`,
     /// views that had been rejected before return in the first round if the effects explain them.
     /// `whole` is the scene of the plain fit, without views.
-    fn beside(
-        mut walk: EffectSearch,
+    fn alternate(
+        mut search: EffectSearch,
         mut corners: Corners,
         whole: Scene<'_>,
-        wanted: Wanted,
+        candidates: CandidateEffects,
         readmits: bool,
     ) -> Option<Self> {
         let mut good = corners.good_views();
         for round in 0..MAX_ROUNDS {
             if round > 0 {
                 let scene = Scene { observations: &corners.observations, good: &good, ..whole };
-                walk = walk.again(scene)?.settled(scene, wanted)?;
+                search = search.relinearized(scene)?.converged(scene, candidates)?;
             }
-            let residuals = std::mem::take(&mut walk.system.residuals);
+            let residuals = std::mem::take(&mut search.system.residuals);
             corners.limit = LIMIT * scale_of(&corners.observations, &residuals).max(ROUNDING);
-            let readmitted = round == 0 && readmits && walk.readmit(whole, &mut corners);
+            let readmitted = round == 0 && readmits && search.readmit(whole, &mut corners);
             let Corners { observations, faults, limit } = &mut corners;
             if !select(observations, &residuals, *limit, faults) && !readmitted {
                 break;
@@ -322,42 +342,43 @@ impl CornersChosen {
                 return None;
             }
         }
-        Some(Self { walk, corners, good })
+        Some(Self { search, corners, good })
     }
 }
 
 /// The result without a rolling shutter, for views that do not agree on one.
-struct WithoutMotion {
-    still: EffectSearch,
-    by_rows: ReadByRows,
+struct GlobalShutterFit {
+    global_shutter: EffectSearch,
+    shutter_test: RollingShutterTest,
 }
 
 /// A search whose motion was compared with none.
-struct Weighed {
-    walk: EffectSearch,
+struct ShutterComparison {
+    search: EffectSearch,
     /// The result to average it with.
-    without: Option<WithoutMotion>,
-    shutter_doubt: Option<DVector<f64>>,
+    without: Option<GlobalShutterFit>,
+    shutter_uncertainty: Option<DVector<f64>>,
 }
 
-impl Weighed {
-    /// `walk`, or the `still` one where none of its motion is beyond chance.
+impl ShutterComparison {
+    /// `search`, or the `global_shutter` one where none of its motion is beyond chance.
     fn of(
-        walk: EffectSearch,
-        still: impl FnOnce() -> Option<EffectSearch>,
+        search: EffectSearch,
+        global_shutter: impl FnOnce() -> Option<EffectSearch>,
         scene: Scene<'_>,
         width: f64,
     ) -> Option<Self> {
-        let by_rows = walk.read_by_rows(scene, width)?;
-        if by_rows.is_shown {
-            return Some(Self { walk, without: None, shutter_doubt: None });
+        let shutter_test = search.test_rolling_shutter(scene, width)?;
+        if shutter_test.is_shown {
+            return Some(Self { search, without: None, shutter_uncertainty: None });
         }
-        let still = still()?;
-        if by_rows.agreement > 0.0 {
-            let without = Some(WithoutMotion { still, by_rows });
-            return Some(Self { walk, without, shutter_doubt: None });
+        let global_shutter = global_shutter()?;
+        if shutter_test.agreement > 0.0 {
+            let without = Some(GlobalShutterFit { global_shutter, shutter_test });
+            return Some(Self { search, without, shutter_uncertainty: None });
         }
-        let shutter_doubt = Some(lens_difference(walk.lens(), still.lens()) * by_rows.error());
-        Some(Self { walk: still, without: None, shutter_doubt })
+        let shutter_uncertainty =
+            Some(lens_difference(search.lens(), global_shutter.lens()) * shutter_test.error());
+        Some(Self { search: global_shutter, without: None, shutter_uncertainty })
     }
 }

@@ -59,7 +59,7 @@ impl World {
             rig_from_board: vec![Pose::new(rotation, Vector3::new(0.02, -0.01, 0.5))],
             warp: [0.0; 2],
         };
-        let mut state = EffectsState::flat_and_still(fixed, &basis, 1);
+        let mut state = EffectsState::without_effects(fixed, &basis, 1);
         for (k, coefficient) in state.shape.iter_mut().enumerate() {
             *coefficient = 1e-4 * (k as f64).sin();
         }
@@ -155,7 +155,7 @@ fn assert_derivatives(world: &World) {
         };
         assert_agrees(world, of, &column, &format!("column {k}"));
     }
-    assert!(world.basis.has_own);
+    assert!(world.basis.has_point_offsets);
     for (corner, point) in view.own().iter().enumerate() {
         for (axis, by) in in_plane.iter().enumerate() {
             let by = trimmed(by);

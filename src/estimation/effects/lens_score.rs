@@ -2,7 +2,7 @@
 //! one step.
 
 use crate::estimation::camera_fit::CameraFit;
-use crate::estimation::effects::evidence::Reduced;
+use crate::estimation::effects::evidence::ReducedSystem;
 use crate::estimation::effects::state::{EffectsState, Scene};
 use crate::estimation::effects::system::System;
 use crate::estimation::joint::{BoardObservation, Layout};
@@ -41,7 +41,7 @@ pub(crate) fn costs_beside_effects(
     let system = System::at(scene, &state)?;
     let freedom = |lens: usize| (system.residual_count as f64) - (lens + 6 * good.len()) as f64;
     let own = found.noise_square * freedom(fit.layout.len);
-    let reduced = Reduced::of(&system, &state, basis, layout.len, &found.variances);
-    let larger = |reduced: Reduced<'_>| reduced.noise_square(&state) * freedom(layout.len);
+    let reduced = ReducedSystem::of(&system, &state, basis, layout.len, &found.variances);
+    let larger = |reduced: ReducedSystem<'_>| reduced.noise_square(&state) * freedom(layout.len);
     Some([own, reduced.map_or(own, larger)])
 }

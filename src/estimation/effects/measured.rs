@@ -122,7 +122,7 @@ fn planar_variances(effects: &EffectsFit, rigid: &DMatrix<f64>) -> Vec<f64> {
         basis.stretches[column][row / 2][row % 2]
     });
     let common = covariance.view((heights, heights), (smooth - heights, smooth - heights));
-    if !basis.has_own {
+    if !basis.has_point_offsets {
         let rest = &stretches - rigid * (rigid.transpose() * &stretches);
         let carried = &rest * common;
         return (0..size).map(|k| carried.row(k).dot(&rest.row(k))).collect();

@@ -18,8 +18,8 @@
 //! | corners selected again under effects, with and without motion | `fit` |
 //! | covariances at the end | `finish` |
 //! | the result | `effects_fit` |
-//! | whether effects are plausible at all | `hints` |
-//! | whether motion is a rolling shutter's | `shutter`, `read_by_rows` |
+//! | whether effects are plausible at all | `score_tests` |
+//! | whether motion is a rolling shutter's | `shutter`, `rolling_shutter_test` |
 //! | the mean of two models that views do not decide between | `averaged` |
 //! | the influence of each view on the lens | `influence` |
 //! | how another lens would fit with effects | `lens_score` |
@@ -35,15 +35,15 @@ pub(crate) mod effects_fit;
 pub(crate) mod evidence;
 mod finish;
 pub(crate) mod fit;
-mod hints;
 mod influence;
 #[cfg(test)]
 mod jacobian_tests;
 pub(crate) mod lens_score;
 mod measured;
 mod odd_motion;
-mod read_by_rows;
 mod readmit;
+mod rolling_shutter_test;
+mod score_tests;
 mod search;
 mod shape_products;
 mod shutter;

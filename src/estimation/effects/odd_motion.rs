@@ -32,19 +32,19 @@ impl EffectSearch {
         if !self.moves() {
             return None;
         }
-        let mut walk = self;
+        let mut search = self;
         let others: Vec<usize> =
             scene.good.iter().copied().filter(|other| *other != view).collect();
         let others = Scene { good: &others, ..scene };
-        let basis = Rc::clone(&walk.basis);
-        let narrow = walk.narrowed(others, &basis);
-        let posterior = walk.posterior(narrow)?;
+        let basis = Rc::clone(&search.basis);
+        let narrow = search.restricted(others, &basis);
+        let posterior = search.posterior(narrow)?;
         let noise_square = posterior.noise_square;
         let of = (narrow.basis, narrow.layout.len);
-        let updated = posterior.updated(&walk.system, &walk.state, of, &walk.variances);
-        let effects = walk.variances.effects();
+        let updated = posterior.updated(&search.system, &search.state, of, &search.variances);
+        let effects = search.variances.effects();
         let motions = effects.iter().filter(|effect| effect.is_motion());
-        let determined: f64 = walk
+        let determined: f64 = search
             .variances
             .0
             .iter()
@@ -53,17 +53,17 @@ impl EffectSearch {
             .map(|(_, determined)| determined)
             .sum();
         let rows: Vec<usize> = motions.flat_map(|effect| effect.range(&basis)).collect();
-        walk = walk.again(scene)?;
-        walk.join(scene, noise_square)?;
-        let posterior = walk.posterior(walk.narrowed(scene, &basis))?;
-        let place = walk.system.views.iter().position(|part| part.observation == view)?;
+        search = search.relinearized(scene)?;
+        search.converge_state(scene, noise_square)?;
+        let posterior = search.posterior(search.restricted(scene, &basis))?;
+        let place = search.system.views.iter().position(|part| part.observation == view)?;
         let covariance = posterior.motion_covariances.get(place)?;
-        let lambda = walk.variances.of_motion(&walk.system);
+        let lambda = search.variances.of_motion(&search.system);
         // In units of the prior's standard deviations.
         let scale = DVector::from_iterator(rows.len(), rows.iter().map(|k| lambda[*k].sqrt()));
         let motion = DVector::from_iterator(
             rows.len(),
-            rows.iter().map(|k| walk.state.motions[view][*k] + posterior.motions[place][*k]),
+            rows.iter().map(|k| search.state.motions[view][*k] + posterior.motions[place][*k]),
         )
         .component_mul(&scale);
         let spread = DMatrix::from_fn(rows.len(), rows.len(), |i, j| {
@@ -73,7 +73,8 @@ impl EffectSearch {
         let square = motion.dot(&spread.cholesky()?.solve(&motion)) / noise_square;
         let ratio = square / rows.len() as f64;
         let deviations = normal_deviations_of_ratio(ratio, [rows.len() as f64, determined]);
-        (deviations >= ODD && walk.misfit(scene, view, noise_square) >= ODD).then_some(ratio.sqrt())
+        (deviations >= ODD && search.misfit(scene, view, noise_square) >= ODD)
+            .then_some(ratio.sqrt())
     }
 
     /// By how much a view's residuals exceed the noise, as standard deviations of a normal

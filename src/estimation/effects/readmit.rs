@@ -31,7 +31,7 @@ impl EffectSearch {
             observations[view].used.fill(true);
             let good = [view];
             let scene = Scene { observations: &observations, good: &good, ..scene };
-            if let Some(state) = self.explained(self.narrowed(scene, &basis), corners.limit) {
+            if let Some(state) = self.explained(self.restricted(scene, &basis), corners.limit) {
                 self.state = state;
                 readmitted.push(view);
             }

@@ -5,10 +5,10 @@ use std::rc::Rc;
 use nalgebra::Vector6;
 
 use crate::estimation::effects::board_basis::BoardBasis;
-use crate::estimation::effects::effect::{Effect, Wanted};
+use crate::estimation::effects::effect::{CandidateEffects, Effect};
 use crate::estimation::effects::effects_fit::EffectsFit;
-use crate::estimation::effects::evidence::{Posterior, Reduced, UpdatedVariances, Variances};
-use crate::estimation::effects::hints;
+use crate::estimation::effects::evidence::{Posterior, ReducedSystem, UpdatedVariances, Variances};
+use crate::estimation::effects::score_tests;
 use crate::estimation::effects::state::{EffectsState, Scene, ViewStep};
 use crate::estimation::effects::system::System;
 use crate::estimation::joint::State;
@@ -29,10 +29,10 @@ pub(super) const MAX_STEPS: usize = 5;
 
 /// State and variances have converged where no ln λ changes by more than this, among effects of
 /// which the data determine one coefficient or more, …
-const SETTLED_LOG_LAMBDA: f64 = 0.1;
+const CONVERGED_LOG_LAMBDA: f64 = 0.1;
 /// … and a step lowers the sum of squares by less than this, in units of the noise's variance: the
 /// mode is then 0.17 standard deviations away. Neither was swept.
-const SETTLED_COST: f64 = 0.03;
+const CONVERGED_COST: f64 = 0.03;
 
 /// Steps at fixed variances after a view is added. Not swept.
 const MAX_JOINING_STEPS: usize = 8;
@@ -51,21 +51,25 @@ pub(super) struct EffectSearch {
     /// The functions on the board that are in the model.
     pub(super) basis: Rc<BoardBasis>,
     /// The posterior at this state and these variances, where it was computed last.
-    pub(super) here: Option<Posterior>,
+    pub(super) last_posterior: Option<Posterior>,
 }
 
 impl EffectSearch {
     /// Starts with a few smooth shapes alone: they take a tenth of the time and lead close to the
     /// mode.
-    pub(super) fn start(scene: Scene<'_>, plain: State, wanted: Wanted) -> Option<Self> {
+    pub(super) fn start(
+        scene: Scene<'_>,
+        plain: State,
+        candidates: CandidateEffects,
+    ) -> Option<Self> {
         let rough = BoardBasis::of(scene.observations, false)?;
-        let flat = EffectsState::flat_and_still(plain, &rough, scene.observations.len());
+        let flat = EffectsState::without_effects(plain, &rough, scene.observations.len());
         let rough_scene = Scene { basis: &rough, moves: true, ..scene };
-        if !wanted.shape {
-            return Self::from_state(rough_scene, flat, wanted, false);
+        if !candidates.shape {
+            return Self::from_state(rough_scene, flat, candidates, false);
         }
-        let mut near = Self::from_state(rough_scene, flat, wanted, false)?;
-        near.settle(rough_scene, ROUGH_STEPS)?;
+        let mut near = Self::from_state(rough_scene, flat, candidates, false)?;
+        near.converge(rough_scene, ROUGH_STEPS)?;
         let heights = rough.heights.len();
         let mut shape = vec![0.0; scene.basis.len()];
         shape[..heights].copy_from_slice(&near.state.shape[..heights]);
@@ -74,12 +78,12 @@ impl EffectSearch {
         // Offsets of single points make the equations large. They are left out where smooth shapes
         // and motion leave no residuals that they would explain.
         let basis = Rc::clone(&near.basis);
-        let narrow = near.narrowed(rough_scene, &basis);
+        let narrow = near.restricted(rough_scene, &basis);
         let noise_square = near.reduced(narrow, &near.variances)?.noise_square(&near.state);
-        let own =
-            hints::own_offsets_stand_out(&near.system, noise_square) || wanted.shape_for_certain;
+        let own = score_tests::are_point_offsets_significant(&near.system, noise_square)
+            || candidates.is_shape_required;
         let state = EffectsState { shape, ..near.state };
-        let mut next = Self::from_state(scene, state, wanted, own)?;
+        let mut next = Self::from_state(scene, state, candidates, own)?;
         for one in &mut next.variances.0 {
             // Too wide a variance lets effects that the rough shapes hid appear in fewer steps.
             let found = near.variances.of(one.effect);
@@ -93,11 +97,11 @@ impl EffectSearch {
         scene: Scene<'_>,
         fixed: State,
         found: &EffectsFit,
-        wanted: Wanted,
+        candidates: CandidateEffects,
     ) -> Option<Self> {
-        let state = found.state_in(scene, fixed, wanted.motion);
-        let own = found.variances.of(Effect::Own).is_some() || wanted.shape_for_certain;
-        Some(Self::from_state(scene, state, wanted, own)?.with_variances_of(found))
+        let state = found.state_in(scene, fixed, candidates.motion);
+        let own = found.variances.of(Effect::PointOffset).is_some() || candidates.is_shape_required;
+        Some(Self::from_state(scene, state, candidates, own)?.with_variances_of(found))
     }
 
     /// The minimum with the same effects that were found before in the same views, with or without
@@ -110,9 +114,9 @@ impl EffectSearch {
         let mut effects = found.variances.effects();
         effects.retain(|effect| moves || !effect.is_motion());
         let state = found.state_in(scene, fixed, moves);
-        let mut walk = Self::of_effects(scene, state, &effects)?.with_variances_of(found);
-        walk.settle(scene, ROUGH_STEPS)?;
-        Some(walk)
+        let mut search = Self::of_effects(scene, state, &effects)?.with_variances_of(found);
+        search.converge(scene, ROUGH_STEPS)?;
+        Some(search)
     }
 
     fn with_variances_of(mut self, found: &EffectsFit) -> Self {
@@ -127,16 +131,16 @@ impl EffectSearch {
     fn from_state(
         scene: Scene<'_>,
         state: EffectsState,
-        wanted: Wanted,
+        candidates: CandidateEffects,
         own: bool,
     ) -> Option<Self> {
         let mut effects: Vec<Effect> = Vec::new();
-        if wanted.shape {
+        if candidates.shape {
             effects.extend(scene.basis.height_groups().into_iter().map(Effect::Height));
             effects.push(Effect::Stretch);
-            effects.extend((scene.basis.has_own && own).then_some(Effect::Own));
+            effects.extend((scene.basis.has_point_offsets && own).then_some(Effect::PointOffset));
         }
-        if wanted.motion {
+        if candidates.motion {
             effects.extend([Effect::Rotation, Effect::Translation]);
         }
         Self::of_effects(scene, state, &effects)
@@ -150,42 +154,46 @@ impl EffectSearch {
         let scene = Scene { basis: &basis, moves, ..scene };
         let system = System::at(scene, &state)?;
         let variances = Variances::start(effects, &system, scene.layout.len, &basis);
-        Some(Self { state, system, variances, basis: Rc::new(basis), here: None })
+        Some(Self { state, system, variances, basis: Rc::new(basis), last_posterior: None })
     }
 
     /// The scene restricted to what is in the model; `basis` is this search's own.
-    pub(super) fn narrowed<'a>(&self, scene: Scene<'a>, basis: &'a BoardBasis) -> Scene<'a> {
+    pub(super) fn restricted<'a>(&self, scene: Scene<'a>, basis: &'a BoardBasis) -> Scene<'a> {
         Scene { basis, moves: self.moves(), ..scene }
     }
 
     /// With no effects.
-    pub(super) fn bare(scene: Scene<'_>, plain: State) -> Option<Self> {
-        let flat = EffectsState::flat_and_still(plain, scene.basis, scene.observations.len());
-        let none = Wanted {
+    pub(super) fn without_effects(scene: Scene<'_>, plain: State) -> Option<Self> {
+        let flat = EffectsState::without_effects(plain, scene.basis, scene.observations.len());
+        let none = CandidateEffects {
             shape: false,
             motion: false,
-            shape_for_certain: false,
-            motion_for_certain: false,
+            is_shape_required: false,
+            is_motion_required: false,
         };
         Self::from_state(scene, flat, none, false)
     }
 
     /// The minimum with the same effects, after corners were selected again.
-    pub(super) fn settled_again(self, scene: Scene<'_>) -> Option<Self> {
-        let mut next = self.again(scene)?;
-        next.settle(scene, MAX_STEPS)?;
+    pub(super) fn reconverged(self, scene: Scene<'_>) -> Option<Self> {
+        let mut next = self.relinearized(scene)?;
+        next.converge(scene, MAX_STEPS)?;
         Some(next)
     }
 
     /// The minimum with only the significant effects; `None` where there are none.
-    pub(super) fn settled(mut self, scene: Scene<'_>, wanted: Wanted) -> Option<Self> {
+    pub(super) fn converged(
+        mut self,
+        scene: Scene<'_>,
+        candidates: CandidateEffects,
+    ) -> Option<Self> {
         let mut steps = FIRST_STEPS;
         loop {
             if self.variances.0.is_empty() {
                 return None;
             }
-            self.settle(scene, steps)?;
-            if !self.drop_idle(scene, wanted)? {
+            self.converge(scene, steps)?;
+            if !self.drop_insignificant(scene, candidates)? {
                 return Some(self);
             }
             steps = MAX_STEPS;
@@ -197,9 +205,9 @@ impl EffectSearch {
     }
 
     /// The same state and variances, with the equations of the corners as selected now.
-    pub(super) fn again(self, scene: Scene<'_>) -> Option<Self> {
-        let system = System::at(self.narrowed(scene, &self.basis), &self.state)?;
-        Some(Self { system, here: None, ..self })
+    pub(super) fn relinearized(self, scene: Scene<'_>) -> Option<Self> {
+        let system = System::at(self.restricted(scene, &self.basis), &self.state)?;
+        Some(Self { system, last_posterior: None, ..self })
     }
 
     pub(super) fn moves(&self) -> bool {
@@ -207,18 +215,22 @@ impl EffectSearch {
     }
 
     /// A search that starts from this state with all motions zero, in another scene.
-    pub(super) fn still(&self, scene: Scene<'_>) -> Option<Self> {
+    pub(super) fn without_motion(&self, scene: Scene<'_>) -> Option<Self> {
         let mut state = self.state.clone();
         for effect in self.variances.effects().into_iter().filter(|effect| effect.is_motion()) {
             state.clear(effect, &self.basis);
         }
-        let system = System::at(self.narrowed(scene, &self.basis), &state)?;
+        let system = System::at(self.restricted(scene, &self.basis), &state)?;
         let (variances, basis) = (self.variances.clone(), self.basis.clone());
-        Some(Self { state, system, variances, basis, here: None })
+        Some(Self { state, system, variances, basis, last_posterior: None })
     }
 
-    fn reduced<'a>(&'a self, scene: Scene<'a>, variances: &'a Variances) -> Option<Reduced<'a>> {
-        Reduced::of(&self.system, &self.state, scene.basis, scene.layout.len, variances)
+    fn reduced<'a>(
+        &'a self,
+        scene: Scene<'a>,
+        variances: &'a Variances,
+    ) -> Option<ReducedSystem<'a>> {
+        ReducedSystem::of(&self.system, &self.state, scene.basis, scene.layout.len, variances)
     }
 
     pub(super) fn posterior(&self, scene: Scene<'_>) -> Option<Posterior> {
@@ -226,10 +238,10 @@ impl EffectSearch {
     }
 
     /// Steps until state and variances have converged.
-    pub(super) fn settle(&mut self, scene: Scene<'_>, max_steps: usize) -> Option<()> {
-        self.here = None;
+    pub(super) fn converge(&mut self, scene: Scene<'_>, max_steps: usize) -> Option<()> {
+        self.last_posterior = None;
         let basis = Rc::clone(&self.basis);
-        let scene = self.narrowed(scene, &basis);
+        let scene = self.restricted(scene, &basis);
         for _ in 0..max_steps {
             let posterior = self.posterior(scene)?;
             let of = (scene.basis, scene.layout.len);
@@ -245,7 +257,8 @@ impl EffectSearch {
                 })
                 .fold(0.0, f64::max);
             self.variances = next.with_stretch_as_others(scene.basis);
-            if changed < SETTLED_LOG_LAMBDA && decrease < SETTLED_COST * posterior.noise_square {
+            if changed < CONVERGED_LOG_LAMBDA && decrease < CONVERGED_COST * posterior.noise_square
+            {
                 break;
             }
         }
@@ -253,15 +266,15 @@ impl EffectSearch {
     }
 
     /// Steps until the state has converged, at fixed variances.
-    pub(super) fn join(&mut self, scene: Scene<'_>, noise_square: f64) -> Option<()> {
-        self.here = None;
+    pub(super) fn converge_state(&mut self, scene: Scene<'_>, noise_square: f64) -> Option<()> {
+        self.last_posterior = None;
         let basis = Rc::clone(&self.basis);
-        let scene = self.narrowed(scene, &basis);
+        let scene = self.restricted(scene, &basis);
         for _ in 0..MAX_JOINING_STEPS {
             let posterior = self.posterior(scene)?;
             let cost =
                 self.system.cost + self.variances.penalty(&self.state, scene.basis, scene.good);
-            if self.step(scene, &posterior, cost)? < SETTLED_COST * noise_square {
+            if self.step(scene, &posterior, cost)? < CONVERGED_COST * noise_square {
                 break;
             }
         }
@@ -302,15 +315,19 @@ impl EffectSearch {
     }
 
     /// Drops the effects that are not significant, and returns whether there were any.
-    fn drop_idle(&mut self, scene: Scene<'_>, wanted: Wanted) -> Option<bool> {
+    fn drop_insignificant(
+        &mut self,
+        scene: Scene<'_>,
+        candidates: CandidateEffects,
+    ) -> Option<bool> {
         let basis = Rc::clone(&self.basis);
-        let scene = self.narrowed(scene, &basis);
-        let (idle, posterior) = self.idle(scene, wanted)?;
-        if idle.is_empty() {
-            self.here = Some(posterior);
+        let scene = self.restricted(scene, &basis);
+        let (insignificant, posterior) = self.insignificant(scene, candidates)?;
+        if insignificant.is_empty() {
+            self.last_posterior = Some(posterior);
             return Some(false);
         }
-        for effect in &idle {
+        for effect in &insignificant {
             self.variances = self.variances.without(*effect);
             self.state.clear(*effect, &basis);
         }
@@ -318,18 +335,22 @@ impl EffectSearch {
         self.state.shape = kept.iter().map(|k| self.state.shape[*k]).collect();
         self.basis = Rc::new(narrow);
         let basis = Rc::clone(&self.basis);
-        self.system = System::at(self.narrowed(scene, &basis), &self.state)?;
+        self.system = System::at(self.restricted(scene, &basis), &self.state)?;
         Some(true)
     }
 
     /// The effects that are not significant, with the posterior from which this follows.
-    fn idle(&self, scene: Scene<'_>, wanted: Wanted) -> Option<(Vec<Effect>, Posterior)> {
+    fn insignificant(
+        &self,
+        scene: Scene<'_>,
+        candidates: CandidateEffects,
+    ) -> Option<(Vec<Effect>, Posterior)> {
         let reduced = self.reduced(scene, &self.variances)?;
         let with = reduced.log_evidence(&self.state);
         let of = (scene.basis, scene.layout.len);
         let posterior = reduced.posterior(&self.state);
         let gains = posterior.gains(&self.system, &self.state, of, &self.variances);
-        let mut idle: Vec<Effect> = Vec::new();
+        let mut insignificant: Vec<Effect> = Vec::new();
         for motion in [true, false] {
             let group: Vec<(Effect, f64)> = self
                 .variances
@@ -339,22 +360,25 @@ impl EffectSearch {
                 .map(|(one, gain)| (one.effect, *gain))
                 .filter(|(effect, _)| effect.is_motion() == motion)
                 .collect();
-            let certain = if motion { wanted.motion_for_certain } else { wanted.shape_for_certain };
+            let certain =
+                if motion { candidates.is_motion_required } else { candidates.is_shape_required };
             if group.is_empty() || certain {
                 continue;
             }
             let effects: Vec<Effect> = group.iter().map(|(effect, _)| *effect).collect();
             let whole = with - self.log_evidence(scene, &self.variances.held(&effects))?;
             let missed = |gain: &f64| whole >= LEAST_GROUP_GAIN && *gain >= LEAST_GAIN;
-            idle.extend(group.iter().filter(|(_, gain)| !missed(gain)).map(|(effect, _)| *effect));
+            insignificant
+                .extend(group.iter().filter(|(_, gain)| !missed(gain)).map(|(effect, _)| *effect));
             // A stretch that the views do not show may still exist: in upright views the board's
             // aspect cannot be separated from that of the pixels.
-            let is_kept = |effect: &Effect| *effect != Effect::Stretch && !idle.contains(effect);
+            let is_kept =
+                |effect: &Effect| *effect != Effect::Stretch && !insignificant.contains(effect);
             if effects.iter().any(is_kept) {
-                idle.retain(|effect| *effect != Effect::Stretch);
+                insignificant.retain(|effect| *effect != Effect::Stretch);
             }
         }
-        Some((idle, posterior))
+        Some((insignificant, posterior))
     }
 
     pub(super) fn log_evidence(&self, scene: Scene<'_>, variances: &Variances) -> Option<f64> {

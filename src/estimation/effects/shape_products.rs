@@ -73,7 +73,7 @@ impl PointProducts {
     }
 
     /// Per point: the gradient by its own x and y, and the diagonal of their information.
-    pub(super) fn own_scores(&self) -> Vec<[f64; 4]> {
+    pub(super) fn point_offset_scores(&self) -> Vec<[f64; 4]> {
         let residual = self.global[0].ncols() - 1;
         let [x, y] = [0, 1].map(|axis| self.global[axis].column(residual));
         (0..x.len()).map(|p| [x[p], y[p], self.squares[0][p], self.squares[3][p]]).collect()
@@ -127,7 +127,7 @@ impl PointProducts {
         let rows = basis.len();
         global.view_mut((first, first), (rows, smooth)).copy_from(&of_smooth);
         let own = first + smooth;
-        for point in 0..if basis.has_own { basis.points.len() } else { 0 } {
+        for point in 0..if basis.has_point_offsets { basis.points.len() } else { 0 } {
             let at = own + 2 * point;
             global[(at, at)] = self.squares[0][point];
             global[(at + 1, at)] = self.squares[1][point];

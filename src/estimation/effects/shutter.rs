@@ -5,8 +5,8 @@ use std::rc::Rc;
 
 use nalgebra::Matrix6;
 
-use crate::estimation::effects::evidence::Reduced;
-use crate::estimation::effects::read_by_rows::ReadByRows;
+use crate::estimation::effects::evidence::ReducedSystem;
+use crate::estimation::effects::rolling_shutter_test::RollingShutterTest;
 use crate::estimation::effects::search::{EffectSearch, LEAST_GROUP_GAIN, MAX_STEPS};
 use crate::estimation::effects::state::Scene;
 use crate::estimation::effects::system::ViewPart;
@@ -36,17 +36,21 @@ impl EffectSearch {
     /// columns is the control: it explains nearly as much of any other model error (Q. H. Vuong,
     /// *Likelihood ratio tests for model selection and non-nested hypotheses*, 1989; the
     /// independent samples are the views, not their corners).
-    pub(super) fn read_by_rows(&self, scene: Scene<'_>, width: f64) -> Option<ReadByRows> {
+    pub(super) fn test_rolling_shutter(
+        &self,
+        scene: Scene<'_>,
+        width: f64,
+    ) -> Option<RollingShutterTest> {
         let basis = Rc::clone(&self.basis);
         let scene = Scene { basis: &basis, moves: true, ..scene };
         let by_columns = Scene { by_columns: Some(width), ..scene };
         let (rows, views_by_rows) = self.evidences(scene)?;
-        let mut control = self.still(by_columns)?;
+        let mut control = self.without_motion(by_columns)?;
         let mut against = |steps: usize, asked: f64| {
-            control.settle(by_columns, steps)?;
+            control.converge(by_columns, steps)?;
             let (columns, views) = control.evidences(by_columns)?;
             let of_views = views_by_rows.iter().zip(views).map(|(rows, columns)| rows - columns);
-            ReadByRows::of(rows - columns, &of_views.collect::<Vec<f64>>(), asked)
+            RollingShutterTest::of(rows - columns, &of_views.collect::<Vec<f64>>(), asked)
         };
         let first = against(FIRST_STEPS, CLEARLY)?;
         if first.is_shown { Some(first) } else { against(MAX_STEPS - FIRST_STEPS, 1.0) }
@@ -55,7 +59,8 @@ impl EffectSearch {
     /// The logarithm of the evidence, and each view's part in it with the globals fixed.
     fn evidences(&self, scene: Scene<'_>) -> Option<(f64, Vec<f64>)> {
         let lens = scene.layout.len;
-        let reduced = Reduced::of(&self.system, &self.state, scene.basis, lens, &self.variances)?;
+        let reduced =
+            ReducedSystem::of(&self.system, &self.state, scene.basis, lens, &self.variances)?;
         let noise_square = reduced.noise_square(&self.state);
         let lambda = self.variances.of_motion(&self.system);
         let of_view = |view: &ViewPart| {
@@ -77,7 +82,7 @@ impl EffectSearch {
     }
 }
 
-impl ReadByRows {
+impl RollingShutterTest {
     /// From the log evidence for rows minus that for columns, in total and per view. All thresholds
     /// are multiplied by `asked`. `None` without views.
     fn of(favor: f64, of_views: &[f64], asked: f64) -> Option<Self> {

@@ -62,7 +62,7 @@ pub(super) fn read_out_times(observation: &BoardObservation, scene: Scene<'_>) -
 }
 
 impl EffectsState {
-    pub(super) fn flat_and_still(fixed: State, basis: &BoardBasis, observations: usize) -> Self {
+    pub(super) fn without_effects(fixed: State, basis: &BoardBasis, observations: usize) -> Self {
         Self { fixed, shape: vec![0.0; basis.len()], motions: vec![Vector6::zeros(); observations] }
     }
 
@@ -121,7 +121,7 @@ impl EffectsState {
     /// the search ends before the offsets are free of a common motion.
     pub(super) fn with_rigid_part_in_poses(mut self, basis: &BoardBasis) -> Self {
         let own = &mut self.shape[basis.smooth_len()..];
-        if !basis.has_own {
+        if !basis.has_point_offsets {
             return self;
         }
         let count = basis.points.len() as f64;

@@ -46,14 +46,14 @@ pub(super) struct System {
     pub(super) gradient: DVector<f64>,
     pub(super) views: Vec<ViewPart>,
     /// Per point: the gradient by its own x and y, and the diagonal of their information.
-    pub(super) own_scores: Vec<[f64; 4]>,
+    pub(super) point_offset_scores: Vec<[f64; 4]>,
     /// Per observation: (projected − observed) / std.
     pub(super) residuals: Vec<Vec<[f64; 2]>>,
 }
 
 /// Buffers that are reused from view to view.
 #[derive(Default)]
-struct Room {
+struct ViewBuffers {
     columns: Columns,
     local: LocalEquations,
     values: Vec<f64>,
@@ -75,23 +75,23 @@ impl System {
             global: DMatrix::zeros(globals, globals),
             gradient: DVector::zeros(globals),
             views: Vec::with_capacity(scene.good.len()),
-            own_scores: Vec::new(),
+            point_offset_scores: Vec::new(),
             residuals: scene.observations.iter().map(|o| vec![[0.0; 2]; o.points.len()]).collect(),
         };
         let offsets = scene.basis.offsets(&state.shape);
         let number = (scene.good.len(), scene.moves);
         let mut points = PointProducts::none(scene.basis.points.len(), lens, number);
-        let mut room = Room::default();
+        let mut buffers = ViewBuffers::default();
         let mut views = Vec::with_capacity(scene.good.len());
         for observation in scene.good {
             if scene.layout.interrupt.is_requested() {
                 return None;
             }
             let at = (state, offsets.as_slice(), *observation);
-            views.push(system.add_view(scene, at, (&mut points, views.len()), &mut room)?);
+            views.push(system.add_view(scene, at, (&mut points, views.len()), &mut buffers)?);
         }
         points.add_to(scene.basis, &mut system.global, &mut system.gradient);
-        system.own_scores = points.own_scores();
+        system.point_offset_scores = points.point_offset_scores();
         let coupling = points.coupling(scene.basis);
         let columns = if scene.moves { 12 } else { 6 };
         for (k, view) in views.iter().enumerate() {
@@ -108,20 +108,20 @@ impl System {
         scene: Scene<'_>,
         (state, offsets, observation): (&EffectsState, &[Vector3<f64>], usize),
         (points, number): (&mut PointProducts, usize),
-        room: &mut Room,
+        buffers: &mut ViewBuffers,
     ) -> Option<ViewProducts> {
         let seen = state.moved_observation(scene, offsets, observation);
         let residuals = self.residuals[observation].as_mut_slice();
-        let into = LinearizedObservation { residuals, local: &mut room.local };
+        let into = LinearizedObservation { residuals, local: &mut buffers.local };
         let at = LinearizationPoint { layout: scene.layout, state: &state.fixed };
         // With motion, the products are computed below, after its columns are appended.
         let linearize = if scene.moves { differentiate_observation } else { linearize_observation };
-        if !linearize(at, &seen, Loss::Squares, &mut room.columns, into) {
+        if !linearize(at, &seen, Loss::Squares, &mut buffers.columns, into) {
             return None;
         }
-        self.cost += room.local.cost;
+        self.cost += buffers.local.cost;
         self.residual_count += 2 * seen.used.iter().filter(|used| **used).count();
-        let (plain, lens) = (room.columns.values(), scene.layout.len);
+        let (plain, lens) = (buffers.columns.values(), scene.layout.len);
         let rows = plain.len() / (lens + 7);
         let rotation = state.fixed.rig_from_board[seen.frame_set].rotation_matrix();
         let by = by_board_axes(&rotation, &plain[lens * rows..]);
@@ -132,10 +132,10 @@ impl System {
         let point_of = &scene.basis.point_of[observation];
         points.add(number, &SeenPoints { by, plain, point_of, times });
         if scene.moves {
-            room.values.clear();
-            room.values.extend_from_slice(plain);
-            room.values.resize((lens + 13) * rows, 0.0);
-            let (plain, motion) = room.values.split_at_mut((lens + 7) * rows);
+            buffers.values.clear();
+            buffers.values.extend_from_slice(plain);
+            buffers.values.resize((lens + 13) * rows, 0.0);
+            let (plain, motion) = buffers.values.split_at_mut((lens + 7) * rows);
             let pose = plain[lens * rows..].chunks_exact(rows);
             for (k, (column, pose)) in motion.chunks_exact_mut(rows).zip(pose).enumerate() {
                 for (half, pose) in column.chunks_exact_mut(rows / 2).zip(pose.chunks(rows / 2)) {
@@ -143,15 +143,15 @@ impl System {
                     half.iter_mut().zip(timed).for_each(|(to, (by, time))| *to = by * time);
                 }
             }
-            multiply(&room.values, lens + 13, &mut room.local);
+            multiply(&buffers.values, lens + 13, &mut buffers.local);
         }
         for i in 0..lens {
-            self.gradient[i] += room.local.product(i, lens + 6);
+            self.gradient[i] += buffers.local.product(i, lens + 6);
             for j in i..lens {
-                self.global[(j, i)] += room.local.product(i, j);
+                self.global[(j, i)] += buffers.local.product(i, j);
             }
         }
-        Some(ViewProducts { observation, products: std::mem::take(&mut room.local) })
+        Some(ViewProducts { observation, products: std::mem::take(&mut buffers.local) })
     }
 
     /// Eliminates the poses from the global block, all views in one product.

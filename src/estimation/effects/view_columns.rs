@@ -48,7 +48,7 @@ impl<'a> ViewColumns<'a> {
 
     /// The index of each corner's point, where points have offsets of their own; otherwise empty.
     pub(super) fn own(&self) -> &'a [usize] {
-        if self.scene.basis.has_own { self.point_of } else { &[] }
+        if self.scene.basis.has_point_offsets { self.point_of } else { &[] }
     }
 
     /// Fills `values` from the columns (lens, pose, residual) of the plain problem. Returns the

@@ -176,7 +176,7 @@ fn slopes(times: &[f64], values: &[f64]) -> Vec<f64> {
 
 /// One frame set in which both sensors saw the board.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SeenByBoth {
+pub struct SharedFrameSet {
     /// The board's pose by the first sensor.
     pub first_from_board: Pose,
     /// The board's velocity then, in the first sensor's frame.
@@ -214,7 +214,7 @@ const MEDIAN_OF_SIX: f64 = 5.348;
 /// the residuals (H. White, *A heteroskedasticity-consistent covariance matrix estimator*, 1980).
 pub fn time_offset(
     second_from_first: &Pose,
-    moments: &[SeenByBoth],
+    moments: &[SharedFrameSet],
     board: BoardExtent,
 ) -> Option<TimeOffset> {
     let rows: Vec<OffsetRow> =
@@ -272,7 +272,7 @@ struct OffsetRow {
 }
 
 impl OffsetRow {
-    fn of(second_from_first: &Pose, seen: &SeenByBoth, board: BoardExtent) -> Self {
+    fn of(second_from_first: &Pose, seen: &SharedFrameSet, board: BoardExtent) -> Self {
         let BoardExtent { center_in_board: center, radius_m: radius } = board;
         let expected = *second_from_first * seen.first_from_board;
         let middle = |a_from_b: &Pose| a_from_b.translation() + *a_from_b * center;
@@ -428,7 +428,7 @@ mod tests {
                 |(k, (moment, motion))| {
                     // Every tenth image was taken at another time altogether.
                     let late = if k % 10 == 7 { 0.3 } else { offset_s };
-                    Some(SeenByBoth {
+                    Some(SharedFrameSet {
                         first_from_board: moment.camera_from_board,
                         motion: motion?,
                         second_from_board: truth * pose(moment.time_s + late),

@@ -7,7 +7,7 @@ use std::ops::Range;
 
 use nalgebra::{Matrix6, Vector3};
 
-use crate::estimation::depth_error::{JudgedTile, Prior, Smoothness, TriedCorrection};
+use crate::estimation::depth_error::{ComparedTile, Prior, Smoothness, TriedCorrection};
 use crate::estimation::error::EstimationError;
 use crate::estimation::joint::depth_terms::{CorrectionColumns, PlaneObservation, add_planes, ray};
 use crate::estimation::joint::linearize::LinearizationPoint;
@@ -50,12 +50,12 @@ pub(super) struct Planes<'a> {
     pub(super) planes: Vec<PlaneObservation>,
     /// Each board's pose from corners with its information, where planes may move it within the
     /// uncertainty of the corners.
-    pub(super) anchors: Option<Vec<Anchor>>,
+    pub(super) anchors: Option<Vec<PosePrior>>,
 }
 
 /// A board's pose from corners, with its information matrix.
 #[derive(Clone)]
-pub(super) struct Anchor {
+pub(super) struct PosePrior {
     rig_from_board: Pose,
     square: Matrix6<f64>,
 }
@@ -128,7 +128,7 @@ impl<'a> Planes<'a> {
                 tiles,
             }
         });
-        let anchor = |(pose, block): (&Pose, &LocalBlock)| Anchor {
+        let anchor = |(pose, block): (&Pose, &LocalBlock)| PosePrior {
             rig_from_board: *pose,
             square: Matrix6::from_fn(|a, b| block.hessian[a][b]),
         };
@@ -303,7 +303,7 @@ impl<'a> Planes<'a> {
     }
 
     /// Each inlier tile, with the 1/z that it should have measured.
-    pub(super) fn judged(&self, fit: &Fit) -> Vec<Vec<JudgedTile>> {
+    pub(super) fn judged(&self, fit: &Fit) -> Vec<Vec<ComparedTile>> {
         let mut views = vec![Vec::new(); self.problem.views.len()];
         for plane in &self.planes {
             let depth_from_board = fit.state.sensor_from_board(1, plane.frame_set);
@@ -314,7 +314,7 @@ impl<'a> Planes<'a> {
             {
                 if let (true, Some(ray)) = (used, ray(&fit.state.lenses[1], tile)) {
                     let inverse_std = inverse_std / fit.tile_noise;
-                    views[plane.frame_set].push(JudgedTile {
+                    views[plane.frame_set].push(ComparedTile {
                         tile: *tile,
                         plane: normal.dot(&ray) / distance,
                         inverse_std,
@@ -406,7 +406,7 @@ fn linearized(
     layout: &Layout,
     (whole, prior): (&PlaneState, &Prior),
     at: usize,
-    (planes, anchors): (&[PlaneObservation], Option<&[Anchor]>),
+    (planes, anchors): (&[PlaneObservation], Option<&[PosePrior]>),
 ) -> Option<NormalEquations> {
     let mut equations = NormalEquations::empty(layout.len, whole.rig.rig_from_board.len());
     equations.tile_residuals = add_planes(
@@ -446,7 +446,7 @@ fn linearized(
     usable.then_some(equations)
 }
 
-impl Anchor {
+impl PosePrior {
     /// Adds the corners' equations about their own estimate.
     pub(super) fn hold(&self, rig_from_board: &Pose, cost: &mut f64, block: &mut LocalBlock) {
         let rotation =

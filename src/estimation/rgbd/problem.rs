@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, Matrix6, Vector3};
 
-use crate::estimation::depth_error::{JudgedTile, Smoothness, TriedCorrection};
+use crate::estimation::depth_error::{ComparedTile, Smoothness, TriedCorrection};
 use crate::estimation::interrupt::Interrupt;
 use crate::estimation::joint::{FreeLens, moved};
 use crate::estimation::problem::{CameraOptions, Correspondence};
@@ -105,7 +105,7 @@ pub struct RgbdEstimate {
     /// By how much tiles scatter more than their own readings.
     pub tile_noise: f64,
     /// Per view, the measured and the expected value of each inlier tile, with its noise.
-    pub judged: Vec<Vec<JudgedTile>>,
+    pub judged: Vec<Vec<ComparedTile>>,
     /// The smoothness prior of the correction.
     pub smoothness: Smoothness,
     /// Corrections that were tried.

@@ -68,12 +68,12 @@ pub fn reconstruct(
     pairs: &[ImagePair],
     lens: Lens,
 ) -> Option<Reconstruction> {
-    let mut growing = Growing::start(problem, pairs, lens)?;
-    growing.grow();
-    growing.finish()
+    let mut incremental = IncrementalReconstruction::start(problem, pairs, lens)?;
+    incremental.grow();
+    incremental.finish()
 }
 
-struct Growing<'a> {
+struct IncrementalReconstruction<'a> {
     problem: &'a SceneProblem,
     lens: Lens,
     order: Vec<usize>,
@@ -83,7 +83,7 @@ struct Growing<'a> {
     tracks_of: Vec<Vec<(usize, TrackPoint)>>,
 }
 
-impl<'a> Growing<'a> {
+impl<'a> IncrementalReconstruction<'a> {
     fn start(problem: &'a SceneProblem, pairs: &[ImagePair], lens: Lens) -> Option<Self> {
         let mut by_size: Vec<&ImagePair> = pairs.iter().collect();
         by_size.sort_by_key(|pair| std::cmp::Reverse(pair.matches.len()));
@@ -105,7 +105,7 @@ impl<'a> Growing<'a> {
             }
         }
         for (_, pair, second_from_first) in candidates.into_iter().take(FIRST_PAIRS) {
-            let mut growing = Growing {
+            let mut incremental = IncrementalReconstruction {
                 problem,
                 lens,
                 order: vec![pair.first, pair.second],
@@ -113,12 +113,12 @@ impl<'a> Growing<'a> {
                 points: vec![None; problem.tracks.len()],
                 tracks_of: tracks_of.clone(),
             };
-            growing.camera_from_scene[pair.first] = Some(Pose::identity());
-            growing.camera_from_scene[pair.second] = Some(second_from_first);
-            growing.triangulate();
-            if growing.points.iter().flatten().count() >= 2 * LEAST_RESECTED {
-                growing.adjust(&[]);
-                return Some(growing);
+            incremental.camera_from_scene[pair.first] = Some(Pose::identity());
+            incremental.camera_from_scene[pair.second] = Some(second_from_first);
+            incremental.triangulate();
+            if incremental.points.iter().flatten().count() >= 2 * LEAST_RESECTED {
+                incremental.adjust(&[]);
+                return Some(incremental);
             }
         }
         None

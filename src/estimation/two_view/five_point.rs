@@ -34,9 +34,9 @@ const MONOMIALS: [[usize; 3]; 20] = [
 ];
 
 /// A polynomial in x, y, z by [`MONOMIALS`].
-type Cubic = [f64; 20];
+type TrivariateCubic = [f64; 20];
 /// A polynomial in z, constant term first.
-type InZ = Vec<f64>;
+type PolynomialInZ = Vec<f64>;
 
 const fn index_of_monomials() -> [[[usize; 4]; 4]; 4] {
     let mut index = [[[usize::MAX; 4]; 4]; 4];
@@ -52,7 +52,7 @@ const fn index_of_monomials() -> [[[usize; 4]; 4]; 4] {
 const INDEX: [[[usize; 4]; 4]; 4] = index_of_monomials();
 
 /// The product; the factors are such that no terms of degree above 3 occur.
-fn product(p: &Cubic, q: &Cubic) -> Cubic {
+fn product(p: &TrivariateCubic, q: &TrivariateCubic) -> TrivariateCubic {
     let mut result = [0.0; 20];
     for (i, a) in p.iter().enumerate().filter(|(_, a)| **a != 0.0) {
         for (j, b) in q.iter().enumerate().filter(|(_, b)| **b != 0.0) {
@@ -63,7 +63,7 @@ fn product(p: &Cubic, q: &Cubic) -> Cubic {
     result
 }
 
-fn sum(p: &Cubic, q: &Cubic, factor: f64) -> Cubic {
+fn sum(p: &TrivariateCubic, q: &TrivariateCubic, factor: f64) -> TrivariateCubic {
     std::array::from_fn(|k| p[k] + factor * q[k])
 }
 
@@ -85,7 +85,7 @@ pub fn essential_from_five(pairs: &[PointPair; 5]) -> Vec<Matrix3<f64>> {
     let mut determinant = times(&rows[0][2], &minor(1, 2, 0, 1));
     determinant = subtract(&determinant, &times(&rows[1][2], &minor(0, 2, 0, 1)));
     determinant = subtract(&determinant, &times(&rows[2][2], &minor(1, 0, 0, 1)));
-    let at = |p: &InZ, z: f64| crate::geometry::polynomial::evaluate(p, z);
+    let at = |p: &PolynomialInZ, z: f64| crate::geometry::polynomial::evaluate(p, z);
     let solution = |z: f64| {
         // (x, y, 1) is the null vector of the rows at z: the cross product of two of them, here of
         // the least parallel two.
@@ -112,16 +112,17 @@ fn constraints(basis: &[Matrix3<f64>]) -> SMatrix<f64, 10, 20> {
         }
         p
     };
-    let e: [[Cubic; 3]; 3] = std::array::from_fn(|r| std::array::from_fn(|c| entry(r, c)));
-    let dot = |a: [&Cubic; 3], b: [&Cubic; 3]| {
+    let e: [[TrivariateCubic; 3]; 3] =
+        std::array::from_fn(|r| std::array::from_fn(|c| entry(r, c)));
+    let dot = |a: [&TrivariateCubic; 3], b: [&TrivariateCubic; 3]| {
         (0..3).fold([0.0; 20], |s, k| sum(&s, &product(a[k], b[k]), 1.0))
     };
     let row = |r: usize| [&e[r][0], &e[r][1], &e[r][2]];
-    let gram: [[Cubic; 3]; 3] =
+    let gram: [[TrivariateCubic; 3]; 3] =
         std::array::from_fn(|r| std::array::from_fn(|c| dot(row(r), row(c))));
     let trace = sum(&sum(&gram[0][0], &gram[1][1], 1.0), &gram[2][2], 1.0);
     let mut rows = SMatrix::<f64, 10, 20>::zeros();
-    let mut set = |k: usize, p: &Cubic| (0..20).for_each(|c| rows[(k, c)] = p[c]);
+    let mut set = |k: usize, p: &TrivariateCubic| (0..20).for_each(|c| rows[(k, c)] = p[c]);
     for (r, gram_row) in gram.iter().enumerate() {
         for (c, entry) in e[r].iter().enumerate() {
             let column = [&e[0][c], &e[1][c], &e[2][c]];
@@ -158,7 +159,7 @@ fn eliminated(mut a: SMatrix<f64, 10, 20>) -> Option<SMatrix<f64, 10, 20>> {
 
 /// Nistér's rows k, l, m: x²z − z · x², y²z − z · y², xyz − z · xy. Each row has three polynomials
 /// in z: the coefficients of x, of y, and of 1.
-fn reduced_in_z(a: &SMatrix<f64, 10, 20>) -> [[InZ; 3]; 3] {
+fn reduced_in_z(a: &SMatrix<f64, 10, 20>) -> [[PolynomialInZ; 3]; 3] {
     let row = |first: usize| {
         let (e, f) = (|c: usize| a[(first, c)], |c: usize| a[(first + 1, c)]);
         let linear = |c: usize| vec![e(c + 2), e(c + 1) - f(c + 2), e(c) - f(c + 1), -f(c)];
@@ -168,7 +169,7 @@ fn reduced_in_z(a: &SMatrix<f64, 10, 20>) -> [[InZ; 3]; 3] {
     [row(4), row(6), row(8)]
 }
 
-fn times(p: &InZ, q: &InZ) -> InZ {
+fn times(p: &PolynomialInZ, q: &PolynomialInZ) -> PolynomialInZ {
     let mut result = vec![0.0; p.len() + q.len() - 1];
     for (i, a) in p.iter().enumerate() {
         for (j, b) in q.iter().enumerate() {
@@ -178,7 +179,7 @@ fn times(p: &InZ, q: &InZ) -> InZ {
     result
 }
 
-fn subtract(p: &InZ, q: &InZ) -> InZ {
-    let at = |p: &InZ, k: usize| p.get(k).copied().unwrap_or(0.0);
+fn subtract(p: &PolynomialInZ, q: &PolynomialInZ) -> PolynomialInZ {
+    let at = |p: &PolynomialInZ, k: usize| p.get(k).copied().unwrap_or(0.0);
     (0..p.len().max(q.len())).map(|k| at(p, k) - at(q, k)).collect()
 }

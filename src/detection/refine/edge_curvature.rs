@@ -26,7 +26,7 @@ const LEAST_EXTENT: f64 = 0.5;
 
 /// The curvature of one edge in its corner's window.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct OwnCurvature {
+pub(super) struct EdgeCurvature {
     /// How much it exceeds that of the fit, towards the edge's normal, in 1/px.
     pub excess: f64,
     /// Its variance, in 1/px².
@@ -37,12 +37,12 @@ pub(super) struct OwnCurvature {
 
 /// For the fit of a corner in `window`, with its samples and last linearization. `None` where the
 /// window does not determine the curvature.
-pub(super) fn own_curvatures(
+pub(super) fn edge_curvatures(
     samples: &Samples,
     columns: &ModelColumns,
     fit: &CornerFit,
     window: &Window,
-) -> [Option<OwnCurvature>; 2] {
+) -> [Option<EdgeCurvature>; 2] {
     let asked = window.extent.map(|extent| extent >= LEAST_EXTENT);
     if asked == [false; 2] {
         return [None; 2];
@@ -68,7 +68,7 @@ pub(super) fn own_curvatures(
         let known = asked[edge]
             && variance > 0.0
             && (excess + variance + move_px2[0] + move_px2[1]).is_finite();
-        known.then_some(OwnCurvature { excess, variance, move_px2 })
+        known.then_some(EdgeCurvature { excess, variance, move_px2 })
     })
 }
 

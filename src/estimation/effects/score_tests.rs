@@ -6,37 +6,41 @@ use nalgebra::DMatrix;
 
 use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::effects::board_basis::BoardBasis;
-use crate::estimation::effects::effect::Wanted;
+use crate::estimation::effects::effect::CandidateEffects;
 use crate::estimation::effects::state::{EffectsState, Scene};
 use crate::estimation::effects::system::{System, ViewPart};
 
 /// A sum of squares that exceeds its expectation by this many standard deviations is a hint.
 const HINT: f64 = 2.0;
 
-/// The effects of `wanted` that the residuals hint at; `None` for none.
-pub(super) fn plausible(fit: &CameraFit, [_, rows]: [f64; 2], wanted: Wanted) -> Option<Wanted> {
+/// The effects of `candidates` that the residuals hint at; `None` for none.
+pub(super) fn plausible(
+    fit: &CameraFit,
+    [_, rows]: [f64; 2],
+    candidates: CandidateEffects,
+) -> Option<CandidateEffects> {
     let good = fit.some_views();
     let basis = BoardBasis::of(&fit.observations, false)?;
     let (layout, observations) = (&fit.layout, &fit.observations);
     let (good, basis) = (&good, &basis);
     let scene = Scene { layout, basis, observations, good, rows, by_columns: None, moves: true };
     let plain = fit.robust.minimum.state.clone();
-    let state = EffectsState::flat_and_still(plain, basis, observations.len());
+    let state = EffectsState::without_effects(plain, basis, observations.len());
     let system = System::at(scene, &state)?;
     let noise_square = fit.noise_square();
     let smooth = smooth_shape(&system, layout.len)
-        .is_none_or(|square| stands_out(square / noise_square, basis.len() as f64));
-    let shape = smooth || own_offsets_stand_out(&system, noise_square);
-    let motion = stands_out(motion(&system) / noise_square, 6.0 * good.len() as f64);
-    let wanted = Wanted {
-        shape: wanted.shape && (shape || wanted.shape_for_certain),
-        motion: wanted.motion && (motion || wanted.motion_for_certain),
-        ..wanted
+        .is_none_or(|square| is_significant(square / noise_square, basis.len() as f64));
+    let shape = smooth || are_point_offsets_significant(&system, noise_square);
+    let motion = is_significant(motion(&system) / noise_square, 6.0 * good.len() as f64);
+    let candidates = CandidateEffects {
+        shape: candidates.shape && (shape || candidates.is_shape_required),
+        motion: candidates.motion && (motion || candidates.is_motion_required),
+        ..candidates
     };
-    (wanted.shape || wanted.motion).then_some(wanted)
+    (candidates.shape || candidates.motion).then_some(candidates)
 }
 
-fn stands_out(square: f64, count: f64) -> bool {
+fn is_significant(square: f64, count: f64) -> bool {
     square > count + HINT * (2.0 * count).sqrt()
 }
 
@@ -64,8 +68,9 @@ fn motion(system: &System) -> f64 {
 }
 
 /// Whether offsets of single points, each the same in all views, would explain more than chance.
-pub(super) fn own_offsets_stand_out(system: &System, noise_square: f64) -> bool {
-    let seen = || system.own_scores.iter().filter(|score| score[2] > 0.0 && score[3] > 0.0);
+pub(super) fn are_point_offsets_significant(system: &System, noise_square: f64) -> bool {
+    let seen =
+        || system.point_offset_scores.iter().filter(|score| score[2] > 0.0 && score[3] > 0.0);
     let square: f64 = seen().map(|[x, y, xx, yy]| x * x / xx + y * y / yy).sum();
-    stands_out(square / noise_square, 2.0 * seen().count() as f64)
+    is_significant(square / noise_square, 2.0 * seen().count() as f64)
 }

@@ -49,7 +49,7 @@ const LAST_ROUNDS: usize = 6;
 
 /// What to fit.
 #[derive(Clone, Copy)]
-pub(super) struct OwnLight<'a> {
+pub(super) struct LocalLightFit<'a> {
     pub samples: &'a Samples,
     pub noise: &'a Noise,
     /// Added to the tolerance, fit by fit, in amplitudes.
@@ -69,7 +69,7 @@ struct LitCorner {
     light: [f64; TERMS],
 }
 
-impl OwnLight<'_> {
+impl LocalLightFit<'_> {
     /// Fits corner and light from `start`; `None` where the samples do not determine them.
     pub fn fit(&self, start: CornerModel, columns: &mut ModelColumns) -> Option<CornerFit> {
         let amplitude = start.amplitude.abs();
@@ -117,7 +117,7 @@ impl OwnLight<'_> {
         let linearized = Linearized { samples: self.samples, noise: &plain, with_flat: false };
         linearized.at(&lit.corner, columns, &mut CornerEquations::default());
         let mut sums = Sums::default();
-        pulp::Arch::new().dispatch(TakeLit {
+        pulp::Arch::new().dispatch(LitSummation {
             what: self,
             lit,
             tolerance2: tolerance * tolerance,
@@ -230,15 +230,15 @@ impl Sums {
 }
 
 /// A struct, not a closure: all of it must be inlined to be compiled for the processor.
-struct TakeLit<'a> {
-    what: &'a OwnLight<'a>,
+struct LitSummation<'a> {
+    what: &'a LocalLightFit<'a>,
     lit: &'a LitCorner,
     tolerance2: f64,
     columns: &'a ModelColumns,
     sums: &'a mut Sums,
 }
 
-impl pulp::NullaryFnOnce for TakeLit<'_> {
+impl pulp::NullaryFnOnce for LitSummation<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -348,5 +348,5 @@ fn mean_and_contrast(light: &[f64; TERMS], terms: &[f64; MEAN_TERMS]) -> (f64, f
 }
 
 #[cfg(test)]
-#[path = "own_light_tests.rs"]
+#[path = "local_light_tests.rs"]
 mod tests;

@@ -12,13 +12,13 @@
 use nalgebra::{DMatrix, Point3};
 
 use crate::calibration::information::board_in_depth::{BoardInDepth, MeasuredView, distance_m};
+use crate::calibration::information::camera_information::{CameraInformation, ViewInformation};
 use crate::calibration::information::corner_noise::side_px;
 use crate::calibration::information::depth_fit::{FittedDepth, fit_depth, sample};
-use crate::calibration::information::depth_goal::{DepthBesideColor, DepthGoal};
+use crate::calibration::information::depth_goal::{DepthColorPair, DepthGoal};
 use crate::calibration::information::depth_information::{DepthInformation, DepthNormal};
 use crate::calibration::information::expected_depth::DepthTileNoise;
 use crate::calibration::information::infrared_corners::InfraredNormal;
-use crate::calibration::information::teaching::{TaughtView, Teaching};
 use crate::calibration::information::view_information::ViewNormal;
 use crate::calibration::rgbd_guess::{board_outline, same_view};
 use crate::detection::board_plane::{NoPlane, PlaneOptions, find_board_plane};
@@ -34,7 +34,7 @@ use crate::imaging::depth_image::DepthImage;
 
 /// The information in one camera's views about its depth.
 #[derive(Debug, Clone)]
-pub struct DepthTeaching {
+pub struct DepthCameraInformation {
     target: Target,
     size: ImageSize,
     invalid: Option<u16>,
@@ -45,21 +45,21 @@ pub struct DepthTeaching {
     views: Vec<MeasuredView>,
     estimated_among: usize,
     /// Color's lens at that estimate, and that of infrared if it was used.
-    estimated_beside: Option<(Lens, Option<Lens>)>,
+    estimated_with_lenses: Option<(Lens, Option<Lens>)>,
     /// The information about the infrared camera that measures depth; `None` before it sees a
     /// board.
-    infrared: Option<Teaching>,
+    infrared: Option<CameraInformation>,
     /// In that estimate, infrared corners determined the depth camera's lens and pose.
     by_infrared: bool,
     /// As [`FittedDepth::scatter`].
     scatter: [f64; 2],
     pub(super) noise: DepthTileNoise,
-    now: Option<DepthNow>,
+    now: Option<DepthUncertainty>,
 }
 
 /// The present information, with the uncertainty that it leaves.
 #[derive(Debug, Clone)]
-pub(super) struct DepthNow {
+pub(super) struct DepthUncertainty {
     pub(super) known: DepthInformation,
     pub(super) goal: DepthGoal,
     /// The uncertainty of each transferred pixel.
@@ -67,7 +67,7 @@ pub(super) struct DepthNow {
 }
 
 /// The information that is expected of a suggested view.
-pub(super) struct ExpectedView {
+pub(super) struct ExpectedInformation {
     /// Of color's lens.
     pub(super) of_color: DMatrix<f64>,
     /// Of depth; `None` where it would not be measured.
@@ -78,7 +78,7 @@ pub(super) struct ExpectedView {
 
 /// A board to suggest: its pose in color, and the normal matrix of its corners in color and, if
 /// infrared sees it, in infrared.
-pub(super) struct BoardBefore<'a> {
+pub(super) struct CandidateBoard<'a> {
     pub(super) color_from_board: &'a Pose,
     pub(super) in_color: &'a ViewNormal,
     pub(super) in_infrared: Option<&'a ViewNormal>,
@@ -110,9 +110,9 @@ const UNKNOWN_MARGIN_SQUARES: f64 = -1.0;
 /// The margin allows for this many standard deviations of that place.
 const CERTAIN: f64 = 2.0;
 
-impl DepthTeaching {
+impl DepthCameraInformation {
     /// No information yet; `color` is the camera beside it.
-    pub fn new(target: &Target, color: &Teaching, stated: &DeviceDepth) -> Self {
+    pub fn new(target: &Target, color: &CameraInformation, stated: &DeviceDepth) -> Self {
         let size = stated.size;
         let guess = || PosedDepthLens {
             lens: same_view(color.lens(), color.size(), size),
@@ -129,7 +129,7 @@ impl DepthTeaching {
             guess,
             views: Vec::new(),
             estimated_among: 0,
-            estimated_beside: None,
+            estimated_with_lenses: None,
             infrared: None,
             by_infrared: false,
             scatter: [1.0; 2],
@@ -153,30 +153,30 @@ impl DepthTeaching {
         self.views.len()
     }
 
-    /// The board's surface in the depth image that was taken with `taught`; `None` where it was not
-    /// measured. Holes or a surface that is not flat are remembered for its distance.
+    /// The board's surface in the depth image that was taken with `in_color`; `None` where it was
+    /// not measured. Holes or a surface that is not flat are remembered for its distance.
     pub fn measure(
         &mut self,
         image: &DepthImage,
-        color: &Teaching,
-        taught: &TaughtView,
+        color: &CameraInformation,
+        in_color: &ViewInformation,
     ) -> Option<MeasuredView> {
         if image.size() != self.size {
             return None;
         }
-        let known_margin = self.margin_squares(color, taught);
+        let known_margin = self.margin_squares(color, in_color);
         let depth = match known_margin {
             Some(_) => self.depth.posed_lens(),
             None => self.guess(color),
         };
         let margin = known_margin.unwrap_or(UNKNOWN_MARGIN_SQUARES);
-        let outline = board_outline(&self.target, &depth, &taught.camera_from_board, margin);
+        let outline = board_outline(&self.target, &depth, &in_color.camera_from_board, margin);
         let options = PlaneOptions { invalid: self.invalid, ..PlaneOptions::default() };
         let meaning = (self.depth.reading, &depth.lens);
         match find_board_plane(image, meaning, &outline, &options) {
-            Ok(tiles) => Some(MeasuredView::new(taught.number, tiles)),
+            Ok(tiles) => Some(MeasuredView::new(in_color.number, tiles)),
             Err(NoPlane::Holes { .. } | NoPlane::NotFlat { .. }) => {
-                let middle = Point3::from(taught.normal().middle_in_camera);
+                let middle = Point3::from(in_color.normal().middle_in_camera);
                 self.noise.miss((depth.depth_from_color * middle).z);
                 None
             }
@@ -186,33 +186,37 @@ impl DepthTeaching {
 
     /// Whether the views determine better than the initial guess where a board is in the depth
     /// image. Only then does that uncertainty follow from the views, and not from the priors.
-    pub fn is_placed(&self, color: &Teaching) -> bool {
+    pub fn is_placed(&self, color: &CameraInformation) -> bool {
         let newest = color.views().last();
-        newest.is_some_and(|taught| self.fitted_margin_squares(color, taught).is_some())
+        newest.is_some_and(|in_color| self.fitted_margin_squares(color, in_color).is_some())
     }
 
     /// How far beyond its outer corners the board's surface is searched for, depending on how well
     /// its place is known; `None` where the fit is no better than the initial guess. A fit of few
     /// views may be off by more than the board's width: searched for there, the board would never
     /// be found again.
-    fn margin_squares(&self, color: &Teaching, taught: &TaughtView) -> Option<f64> {
+    fn margin_squares(&self, color: &CameraInformation, in_color: &ViewInformation) -> Option<f64> {
         if self.is_stated {
             return Some(MARGIN_SQUARES);
         }
-        self.fitted_margin_squares(color, taught)
+        self.fitted_margin_squares(color, in_color)
     }
 
-    fn fitted_margin_squares(&self, color: &Teaching, taught: &TaughtView) -> Option<f64> {
+    fn fitted_margin_squares(
+        &self,
+        color: &CameraInformation,
+        in_color: &ViewInformation,
+    ) -> Option<f64> {
         let middle = color.board().middle();
         let side_m = color.board().side_m;
-        let side_px = side_px(color.lens(), &taught.camera_from_board, &middle, side_m)?;
+        let side_px = side_px(color.lens(), &in_color.camera_from_board, &middle, side_m)?;
         let unknown_squares = CERTAIN * self.uncertainty_px()? / side_px;
         let margin = MARGIN_SQUARES - unknown_squares;
         (margin > UNKNOWN_MARGIN_SQUARES).then_some(margin)
     }
 
     /// The depth camera that a fit starts from: as stated, or with color's field of view.
-    fn guess(&self, color: &Teaching) -> PosedDepthLens {
+    fn guess(&self, color: &CameraInformation) -> PosedDepthLens {
         let guess = self.guess.posed_lens();
         if self.is_stated {
             return guess;
@@ -226,15 +230,16 @@ impl DepthTeaching {
         &mut self,
         seen: BoardView,
         blur_px: f64,
-        color: &Teaching,
-        taught: &TaughtView,
-    ) -> Option<TaughtView> {
-        let nothing = || Teaching::new(&self.target, self.size, color.choice(), color.figure());
-        self.infrared.get_or_insert_with(nothing).view(taught.number, seen, blur_px)
+        color: &CameraInformation,
+        in_color: &ViewInformation,
+    ) -> Option<ViewInformation> {
+        let nothing =
+            || CameraInformation::new(&self.target, self.size, color.choice(), color.figure());
+        self.infrared.get_or_insert_with(nothing).view(in_color.number, seen, blur_px)
     }
 
     /// Adds a view, number `number` of `color`.
-    pub fn add(&mut self, number: u32, view: BoardInDepth, color: &Teaching) {
+    pub fn add(&mut self, number: u32, view: BoardInDepth, color: &CameraInformation) {
         self.views.extend(view.surface.map(|surface| surface.numbered(number)));
         let infrared = self.infrared.as_mut().zip(view.infrared);
         infrared.into_iter().for_each(|(all, view)| all.add(view.numbered(number)));
@@ -248,16 +253,16 @@ impl DepthTeaching {
     }
 
     /// The information about infrared, if its corners determine the depth camera's lens and pose.
-    pub(super) fn infrared(&self) -> Option<&Teaching> {
+    pub(super) fn infrared(&self) -> Option<&CameraInformation> {
         self.infrared.as_ref().filter(|_| self.by_infrared)
     }
 
     /// Updates the estimate and the information after views were added to `color`.
-    pub fn sum_up(&mut self, color: &Teaching) {
+    pub fn sum_up(&mut self, color: &CameraInformation) {
         let count = self.views.len();
         let grown = count as f64 >= GROWTH * self.estimated_among as f64;
         let infrared = self.usable_infrared().map(|infrared| *infrared.lens());
-        let is_due = grown || self.estimated_beside != Some((*color.lens(), infrared));
+        let is_due = grown || self.estimated_with_lenses != Some((*color.lens(), infrared));
         if count >= LEAST_VIEWS && is_due && color.is_estimated() {
             self.estimate(color);
         }
@@ -273,7 +278,7 @@ impl DepthTeaching {
     }
 
     /// The same with one more view that only adds information on color's lens.
-    pub fn uncertainty_beside(&self, of_color: &DMatrix<f64>) -> Option<f64> {
+    pub fn uncertainty_with_color(&self, of_color: &DMatrix<f64>) -> Option<f64> {
         let now = self.now.as_ref().filter(|_| self.estimated_among > 0)?;
         let fits = of_color.nrows() == now.known.free.len();
         let after = fits.then(|| now.known.with(of_color, None))?;
@@ -288,24 +293,24 @@ impl DepthTeaching {
     /// How much one more view would lower that uncertainty: the mean over the image of the relative
     /// drop of the standard deviation, 0 to 1. A view without depth only adds information on
     /// color's lens.
-    pub fn gain(&self, taught: &TaughtView, view: &BoardInDepth) -> f64 {
-        let Some((now, after)) = self.after(taught, view) else { return 0.0 };
+    pub fn gain(&self, in_color: &ViewInformation, view: &BoardInDepth) -> f64 {
+        let Some((now, after)) = self.after(in_color, view) else { return 0.0 };
         let drops = now.std_px.iter().zip(&after).map(|(now, after)| 1.0 - after / now);
         drops.sum::<f64>() / now.std_px.len() as f64
     }
 
     /// How much one more view would lower the goal's criterion, relatively, 0 to 1.
-    pub fn drop(&self, taught: &TaughtView, view: &BoardInDepth) -> f64 {
-        let after = self.after(taught, view);
+    pub fn drop(&self, in_color: &ViewInformation, view: &BoardInDepth) -> f64 {
+        let after = self.after(in_color, view);
         after.map_or(0.0, |(now, after)| now.drop(&after))
     }
 
     /// The information that is expected of a suggested view.
     pub(super) fn expected(
         &self,
-        color: &Teaching,
-        board: &BoardBefore<'_>,
-    ) -> Option<ExpectedView> {
+        color: &CameraInformation,
+        board: &CandidateBoard<'_>,
+    ) -> Option<ExpectedInformation> {
         let now = self.now.as_ref()?;
         let of_color = board.in_color.lens_information(&now.known.free)?;
         let surface =
@@ -314,7 +319,7 @@ impl DepthTeaching {
         let corners = (board.in_color, board.in_infrared);
         let seen = (board.color_from_board, corners);
         let of_depth = self.normal(&now.known, seen, surface.as_ref());
-        Some(ExpectedView { of_color, z_m: z_m.filter(|_| of_depth.is_some()), of_depth })
+        Some(ExpectedInformation { of_color, z_m: z_m.filter(|_| of_depth.is_some()), of_depth })
     }
 
     /// The nearest and the farthest distance at which boards were measured; `None` before the
@@ -327,11 +332,11 @@ impl DepthTeaching {
     /// The goal for boards from the nearest to the farthest of `seen_m`.
     pub(super) fn goal(
         &self,
-        color: &Teaching,
+        color: &CameraInformation,
         free: &[usize],
         [near_m, far_m]: [f64; 2],
     ) -> Option<DepthGoal> {
-        let sensors = DepthBesideColor {
+        let sensors = DepthColorPair {
             depth: &self.depth,
             depth_size: self.size,
             color: color.lens(),
@@ -341,33 +346,34 @@ impl DepthTeaching {
         DepthGoal::new(sensors, &[near_m, (near_m * far_m).sqrt(), far_m], color.figure())
     }
 
-    pub(super) fn now(&self) -> Option<&DepthNow> {
+    pub(super) fn now(&self) -> Option<&DepthUncertainty> {
         self.now.as_ref()
     }
 
-    fn after(&self, taught: &TaughtView, view: &BoardInDepth) -> Option<(&DepthNow, Vec<f64>)> {
+    fn after(
+        &self,
+        in_color: &ViewInformation,
+        view: &BoardInDepth,
+    ) -> Option<(&DepthUncertainty, Vec<f64>)> {
         let now = self.now.as_ref()?;
-        if taught.information().nrows() != now.known.free.len() {
+        if in_color.information().nrows() != now.known.free.len() {
             return None;
         }
         let seen = (view.surface.as_ref(), view.infrared.as_ref());
-        let depth = self.normal_of(&now.known, taught, seen);
-        let after = now.known.with(taught.information(), depth.as_ref());
+        let depth = self.normal_of(&now.known, in_color, seen);
+        let after = now.known.with(in_color.information(), depth.as_ref());
         Some((now, now.goal.std_px(&after)?))
     }
 
     fn normal_of(
         &self,
         known: &DepthInformation,
-        taught: &TaughtView,
-        (surface, infrared): (Option<&MeasuredView>, Option<&TaughtView>),
+        in_color: &ViewInformation,
+        (surface, infrared): (Option<&MeasuredView>, Option<&ViewInformation>),
     ) -> Option<DepthNormal> {
-        let corners = (taught.normal(), infrared.map(TaughtView::normal));
-        self.normal(
-            known,
-            (&taught.camera_from_board, corners),
-            surface.map(|surface| &surface.sample),
-        )
+        let corners = (in_color.normal(), infrared.map(ViewInformation::normal));
+        let sample = surface.map(|surface| &surface.sample);
+        self.normal(known, (&in_color.camera_from_board, corners), sample)
     }
 
     /// What one view adds for depth: by color's corners, by infrared's corners where they are used,
@@ -396,40 +402,40 @@ impl DepthTeaching {
         }
     }
 
-    fn known(&self, color: &Teaching) -> Option<DepthNow> {
+    fn known(&self, color: &CameraInformation) -> Option<DepthUncertainty> {
         let mut known = DepthInformation::prior(color.known(), &self.depth);
         if self.by_infrared {
             known = known.with_infrared(&self.depth);
         } else {
             known.together = self.scatter[1] * self.scatter[1];
         }
-        for taught in color.views() {
-            let surface = self.views.iter().find(|view| view.number == taught.number);
-            let view = self.normal_of(&known, taught, (surface, self.in_infrared(taught)));
+        for in_color in color.views() {
+            let surface = self.views.iter().find(|view| view.number == in_color.number);
+            let view = self.normal_of(&known, in_color, (surface, self.in_infrared(in_color)));
             view.into_iter().for_each(|view| known.add(&view));
         }
         let goal = self.goal(color, &known.free, self.seen_m()?)?;
         let std_px = goal.std_px(&known)?;
-        Some(DepthNow { known, goal, std_px })
+        Some(DepthUncertainty { known, goal, std_px })
     }
 
     /// The same view in infrared.
-    fn in_infrared(&self, taught: &TaughtView) -> Option<&TaughtView> {
-        self.infrared.as_ref()?.views().iter().find(|view| view.number == taught.number)
+    fn in_infrared(&self, in_color: &ViewInformation) -> Option<&ViewInformation> {
+        self.infrared.as_ref()?.views().iter().find(|view| view.number == in_color.number)
     }
 
     /// Infrared, if it has enough views for its corners to determine its lens.
-    fn usable_infrared(&self) -> Option<&Teaching> {
+    fn usable_infrared(&self) -> Option<&CameraInformation> {
         let infrared = self.infrared.as_ref()?;
         (infrared.is_estimated() && infrared.views().len() >= LEAST_VIEWS).then_some(infrared)
     }
 
     /// The depth camera's lens and pose from infrared corners.
-    fn posed_by_infrared(&self, color: &Teaching) -> Option<PosedDepthLens> {
+    fn posed_by_infrared(&self, color: &CameraInformation) -> Option<PosedDepthLens> {
         let infrared = self.usable_infrared()?;
-        let both = color.views().iter().filter_map(|taught| {
-            let board_from_color = taught.camera_from_board.inverse();
-            Some(self.in_infrared(taught)?.camera_from_board * board_from_color)
+        let both = color.views().iter().filter_map(|in_color| {
+            let board_from_color = in_color.camera_from_board.inverse();
+            Some(self.in_infrared(in_color)?.camera_from_board * board_from_color)
         });
         let depth_from_color: Vec<Pose> = both.collect();
         let depth_from_color = median_pose(&depth_from_color)?;
@@ -439,15 +445,16 @@ impl DepthTeaching {
     /// Each view with depth, paired with its color view.
     fn with_color<'a>(
         &'a self,
-        color: &'a Teaching,
-    ) -> impl Iterator<Item = (&'a TaughtView, &'a MeasuredView)> {
+        color: &'a CameraInformation,
+    ) -> impl Iterator<Item = (&'a ViewInformation, &'a MeasuredView)> {
         self.views.iter().filter_map(|measured| {
-            let taught = color.views().iter().find(|taught| taught.number == measured.number)?;
-            Some((taught, measured))
+            let in_color =
+                color.views().iter().find(|in_color| in_color.number == measured.number)?;
+            Some((in_color, measured))
         })
     }
 
-    fn estimate(&mut self, color: &Teaching) {
+    fn estimate(&mut self, color: &CameraInformation) {
         let [near, far] = self.seen_m().unwrap_or([1.0; 2]);
         let mut start = self.guess.clone();
         start.correction.seen_m = [near / BEYOND_SEEN, far * BEYOND_SEEN];
@@ -458,18 +465,19 @@ impl DepthTeaching {
         if self.by_infrared {
             start = start.with_open_lens();
         }
-        self.estimated_beside = Some((*color.lens(), by_infrared.map(|posed| posed.lens)));
+        self.estimated_with_lenses = Some((*color.lens(), by_infrared.map(|posed| posed.lens)));
         // The prior is what corners alone determine.
         self.depth = start.clone();
         let mut known = DepthInformation::prior(color.known(), &start);
-        for taught in color.views().iter().filter(|_| self.by_infrared) {
-            let view = self.normal_of(&known, taught, (None, self.in_infrared(taught)));
+        for in_color in color.views().iter().filter(|_| self.by_infrared) {
+            let view = self.normal_of(&known, in_color, (None, self.in_infrared(in_color)));
             view.into_iter().for_each(|view| known.add(&view));
         }
         let prior = known.depth.by_depth;
         let views: Vec<_> = self.with_color(color).collect();
-        let each: Vec<_> =
-            (views.iter()).map(|(taught, measured)| (*taught, measured.tiles.as_slice())).collect();
+        let each: Vec<_> = (views.iter())
+            .map(|(in_color, measured)| (*in_color, measured.tiles.as_slice()))
+            .collect();
         let Some(fitted) = fit_depth(&start, &prior, &each) else { return };
         let numbers: Vec<u32> = views.iter().map(|(_, measured)| measured.number).collect();
         let FittedDepth { depth, scatter, used, .. } = fitted;
@@ -483,7 +491,7 @@ impl DepthTeaching {
     }
 }
 
-impl DepthNow {
+impl DepthUncertainty {
     /// The relative drop of the criterion.
     pub(super) fn drop(&self, after: &[f64]) -> f64 {
         1.0 - self.goal.criterion_px(after) / self.goal.criterion_px(&self.std_px)

@@ -63,9 +63,9 @@ fn highlighted(seed: u64) -> Samples {
     samples
 }
 
-fn own_light<'a>(samples: &'a Samples, noise: &'a Noise) -> OwnLight<'a> {
+fn local_light<'a>(samples: &'a Samples, noise: &'a Noise) -> LocalLightFit<'a> {
     let (reach, power, enough) = (REACH, POWER, 0.05);
-    OwnLight { samples, noise, tolerances: &TOLERANCES, reach, power, enough }
+    LocalLightFit { samples, noise, tolerances: &TOLERANCES, reach, power, enough }
 }
 
 #[test]
@@ -78,7 +78,7 @@ fn corners_under_a_highlight_scatter_as_stated() {
         let at_white = samples.vectors::<pulp::Scalar>()[2].iter().filter(|&&v| v > 254.5).count();
         assert!(at_white > 20, "{at_white} samples at white");
         let plain = fit(&samples, MODEL, &NOISE, &options, &mut ModelColumns::default()).unwrap();
-        let lit = own_light(&samples, &NOISE);
+        let lit = local_light(&samples, &NOISE);
         let lit = lit.fit(plain.model, &mut ModelColumns::default()).unwrap();
         assert!(lit.mean_square < 0.5 * plain.mean_square, "seed {seed}");
         let off = |fit: &CornerFit| [0, 1].map(|k| fit.model.center[k] - MODEL.center[k]);
@@ -98,7 +98,7 @@ fn the_equations_are_the_slope_of_the_sum_of_squares() {
     let mut samples = samples();
     samples.change(|x, _, t| 120.0 + 60.0 * t + x);
     let flat = Noise { black: 1.0, white: 1.0, tolerance: 1e6 };
-    let lit_corner = own_light(&samples, &flat);
+    let lit_corner = local_light(&samples, &flat);
     let mut at = lit_corner.from(&MODEL);
     at.light = std::array::from_fn(|k| at.light[k] + 0.01 * (k as f64 - 5.0) / 5.0);
     let mut columns = ModelColumns::default();
@@ -122,6 +122,6 @@ fn the_equations_are_the_slope_of_the_sum_of_squares() {
 fn a_window_that_is_white_determines_no_corner() {
     let mut samples = samples();
     samples.change(|x, _, t| if x > -10.0 { WHITE as f32 } else { 120.0 + 60.0 * t });
-    let answer = own_light(&samples, &NOISE).fit(MODEL, &mut ModelColumns::default());
+    let answer = local_light(&samples, &NOISE).fit(MODEL, &mut ModelColumns::default());
     assert!(answer.is_none());
 }

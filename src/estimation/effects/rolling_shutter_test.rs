@@ -2,7 +2,7 @@
 
 /// Whether views were read by rows rather than by columns.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct ReadByRows {
+pub(super) struct RollingShutterTest {
     /// The views agree that they were.
     pub(super) is_shown: bool,
     /// The probability that more views would agree, 0 to 1.
@@ -14,7 +14,7 @@ pub(super) struct ReadByRows {
     pub(super) agreement: f64,
 }
 
-impl ReadByRows {
+impl RollingShutterTest {
     /// The expected root mean square error of a result that gives the model with motion the weight
     /// `agreement`, if that model is right with `probability` and the one without motion is right
     /// otherwise. In units of the difference between the two.
@@ -32,8 +32,8 @@ mod tests {
     #[test]
     fn what_counts_in_full_or_not_at_all_errs_where_the_other_is_right() {
         let error = |agreement| {
-            let by_rows = ReadByRows { is_shown: false, probability: 0.75, agreement };
-            by_rows.error()
+            let shutter_test = RollingShutterTest { is_shown: false, probability: 0.75, agreement };
+            shutter_test.error()
         };
         assert!((error(0.0) - f64::sqrt(0.75)).abs() < 1e-12);
         assert!((error(1.0) - 0.5).abs() < 1e-12);

@@ -16,7 +16,7 @@ use crate::imaging::frame::SensorKind;
 ///
 /// # Errors
 /// [`RigError`]: one of them cannot be calibrated, or they never saw the board together.
-fn solve_beside_color(
+fn solve_with_color(
     (board, camera, kind): (Target, &CameraFrameSets, SensorKind),
     options: &CameraOptions,
 ) -> Result<SolvedRig, RigError> {
@@ -38,7 +38,7 @@ pub(super) fn with_image_sensor(
     let (_, _, kind) = observed;
     let lens = calibration.color().map(|color| LensChoice::Model(color.lens.model()));
     let options = CameraOptions { lens: lens.unwrap_or(options.lens), ..options.clone() };
-    match solve_beside_color(observed, &options) {
+    match solve_with_color(observed, &options) {
         Ok(SolvedRig { sensors, extrinsics, .. }) => {
             let sensor = sensors.into_iter().find(|(id, _)| id.kind == kind);
             if let Some((id, sensor)) = sensor {

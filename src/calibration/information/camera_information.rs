@@ -1,7 +1,6 @@
-//! The information in a session's views so far, and the information that one more would add; in
-//! names, a view teaches the information that it adds. It depends on the frames and their order
-//! alone, and not on estimates that other threads make meanwhile: a replay keeps the same views and
-//! suggests the same ones.
+//! The information in a session's views so far, and the information that one more would add. It
+//! depends on the frames and their order alone, and not on estimates that other threads make
+//! meanwhile: a replay keeps the same views and suggests the same ones.
 //!
 //! The lens is nominal until three views determine one. It is estimated anew whenever the views
 //! have grown by a third, which costs a few milliseconds a dozen times in a session.
@@ -30,13 +29,13 @@ use crate::geometry::target::Target;
 
 /// The information in the views of one camera.
 #[derive(Debug, Clone)]
-pub struct Teaching {
+pub struct CameraInformation {
     size: ImageSize,
     choice: LensChoice,
     board: BoardPoints,
     /// Whether the board frame's z axis points at a camera that sees its front.
     towards_camera: bool,
-    views: Vec<TaughtView>,
+    views: Vec<ViewInformation>,
     /// Poses at which a board was not worth keeping.
     refused_camera_from_board: Vec<Pose>,
     /// The start for the next estimate, from the newest one; `None` while the lens is nominal.
@@ -50,7 +49,7 @@ pub struct Teaching {
 
 /// One view, and its information at the present lens.
 #[derive(Debug, Clone)]
-pub struct TaughtView {
+pub struct ViewInformation {
     /// Which of the session's views it is.
     pub number: u32,
     seen: BoardView,
@@ -82,12 +81,12 @@ const GROWTH: f64 = 1.3;
 /// `auto` takes the second model only if its residuals are below this fraction of the first one's.
 const CLEARLY_BETTER: f64 = 0.8;
 
-impl Teaching {
+impl CameraInformation {
     /// No information yet: a camera with images of `size`, in front of `target`, whose lens is of
     /// the chosen model. `figure` is the quantity in which the goal is stated.
     pub fn new(target: &Target, size: ImageSize, choice: LensChoice, figure: GoalFigure) -> Self {
         let lens = nominal_lens(size, choice);
-        let mut teaching = Self {
+        let mut information = Self {
             size,
             choice,
             board: BoardPoints::of_target(target),
@@ -101,8 +100,8 @@ impl Teaching {
             goal: ProjectionGoal::new(&lens, size, figure),
             now: None,
         };
-        teaching.sum_up();
-        teaching
+        information.sum_up();
+        information
     }
 
     /// The lens, as far as it is known.
@@ -165,20 +164,20 @@ impl Teaching {
     }
 
     /// The views, in order.
-    pub fn views(&self) -> &[TaughtView] {
+    pub fn views(&self) -> &[ViewInformation] {
         &self.views
     }
 
     /// The information that a view with this number would add, with the present lens; `None` where
     /// no pose fits it.
-    pub fn view(&self, number: u32, seen: BoardView, blur_px: f64) -> Option<TaughtView> {
+    pub fn view(&self, number: u32, seen: BoardView, blur_px: f64) -> Option<ViewInformation> {
         let camera_from_board = board_poses(self.lens(), &seen).ok()?.first()?.camera_from_board;
         self.placed(number, seen, blur_px, camera_from_board)
     }
 
     /// How much one more view would lower the uncertainty of projections: the mean over the image
     /// of the relative drop of the standard deviation, 0 to 1.
-    pub fn gain(&self, view: &TaughtView) -> f64 {
+    pub fn gain(&self, view: &ViewInformation) -> f64 {
         let after = self.known.covariance_with(&view.information);
         let after = after.and_then(|covariance| self.goal.map(&covariance));
         match (&self.now, after) {
@@ -189,7 +188,7 @@ impl Teaching {
 
     /// The relative drop of the goal's criterion with one more view, as in
     /// [`ProjectionGoal::drop`].
-    pub fn drop(&self, view: &TaughtView) -> f64 {
+    pub fn drop(&self, view: &ViewInformation) -> f64 {
         let after = self.known.covariance_with(&view.information);
         match (&self.now, after.and_then(|covariance| self.goal.map(&covariance))) {
             (Some(now), Some(after)) => self.goal.drop(now, &after),
@@ -198,7 +197,7 @@ impl Teaching {
     }
 
     /// Adds a view.
-    pub fn add(&mut self, view: TaughtView) {
+    pub fn add(&mut self, view: ViewInformation) {
         self.views.push(view);
         self.refused_camera_from_board.clear();
         let count = self.views.len();
@@ -295,7 +294,7 @@ impl Teaching {
         seen: BoardView,
         blur_px: f64,
         camera_from_board: Pose,
-    ) -> Option<TaughtView> {
+    ) -> Option<ViewInformation> {
         let corners: Vec<WeightedCorner> = (seen.correspondences.iter())
             .map(|corner| WeightedCorner {
                 point_in_board: corner.point_in_board,
@@ -304,10 +303,10 @@ impl Teaching {
             .collect();
         let normal = ViewNormal::of(self.lens(), &camera_from_board, &corners);
         let information = normal.lens_information(&self.known.free)?;
-        Some(TaughtView { number, seen, blur_px, camera_from_board, normal, information })
+        Some(ViewInformation { number, seen, blur_px, camera_from_board, normal, information })
     }
 
-    fn noise_sample(&self, view: &TaughtView) -> Option<NoiseSample> {
+    fn noise_sample(&self, view: &ViewInformation) -> Option<NoiseSample> {
         let mut stds: Vec<f64> =
             view.seen.correspondences.iter().map(|corner| self.noise.of(corner.std_px)).collect();
         stds.sort_unstable_by(f64::total_cmp);
@@ -364,7 +363,7 @@ impl Teaching {
     }
 }
 
-impl TaughtView {
+impl ViewInformation {
     /// The board's pose with its origin in the middle of the corners seen: the point that rotations
     /// of its normal matrix are about.
     pub fn centered(&self) -> Pose {

@@ -11,7 +11,7 @@ const SAME_TIME_S: f64 = 5e-4;
 
 /// How fast the board moves in each camera's images.
 #[derive(Debug, Clone)]
-pub(super) struct Together {
+pub(super) struct Simultaneity {
     /// Each camera's last frame with a board: its time and the board.
     before: Vec<Option<(i64, Detection)>>,
     /// The board's fastest corner in the newest images, in pixels a second; `None` where that
@@ -19,7 +19,7 @@ pub(super) struct Together {
     motion_px_per_s: Vec<Option<f64>>,
 }
 
-impl Together {
+impl Simultaneity {
     pub(super) fn new(cameras: usize) -> Self {
         Self { before: vec![None; cameras], motion_px_per_s: vec![None; cameras] }
     }
@@ -44,7 +44,12 @@ impl Together {
 
     /// Whether two cameras took their images at the same time, or the board hardly moved between
     /// them.
-    pub(super) fn are(&self, frame_set: &[Option<CameraFrame>], one: usize, other: usize) -> bool {
+    pub(super) fn are_simultaneous(
+        &self,
+        frame_set: &[Option<CameraFrame>],
+        one: usize,
+        other: usize,
+    ) -> bool {
         let (Some(first), Some(second)) = (&frame_set[one], &frame_set[other]) else {
             return false;
         };

@@ -4,16 +4,16 @@
 
 use nalgebra::DMatrix;
 
+use crate::calibration::information::camera_information::{CameraInformation, ViewInformation};
 use crate::calibration::information::next_shared_view::{SharedView, suggest_shared_view};
 use crate::calibration::information::pair_information::PairInformation;
-use crate::calibration::information::teaching::{TaughtView, Teaching};
 use crate::calibration::information::transfer_goal::TransferGoal;
 use crate::geometry::median::{median, median_pose};
 use crate::geometry::pose::Pose;
 
 /// The information in the views of two cameras about the pair.
 #[derive(Debug, Clone)]
-pub struct PairTeaching {
+pub struct CameraPairInformation {
     known: PairInformation,
     goal: TransferGoal,
     /// The uncertainty of each transferred pixel.
@@ -21,17 +21,17 @@ pub struct PairTeaching {
     shared: usize,
 }
 
-impl PairTeaching {
+impl CameraPairInformation {
     /// The information in the shared views of `cameras`; each view is given by its number in the
     /// first and in the second camera. `None` while a lens is not estimated, or no view is shared.
-    pub fn of(cameras: [&Teaching; 2], shared: &[[u32; 2]]) -> Option<Self> {
+    pub fn of(cameras: [&CameraInformation; 2], shared: &[[u32; 2]]) -> Option<Self> {
         if !cameras.iter().all(|camera| camera.is_estimated()) {
             return None;
         }
         let view = |camera: usize, number: u32| {
             cameras[camera].views().iter().find(|view| view.number == number)
         };
-        let views: Vec<[&TaughtView; 2]> =
+        let views: Vec<[&ViewInformation; 2]> =
             shared.iter().filter_map(|[a, b]| Some([view(0, *a)?, view(1, *b)?])).collect();
         let b_from_a: Vec<Pose> = views
             .iter()
@@ -70,7 +70,7 @@ impl PairTeaching {
 
     /// How much one more shared view would lower that uncertainty: the mean over the image of the
     /// relative drop of the standard deviation, 0 to 1.
-    pub fn gain(&self, [a, b]: [&TaughtView; 2]) -> f64 {
+    pub fn gain(&self, [a, b]: [&ViewInformation; 2]) -> f64 {
         let information = self.known.of_view([a.normal(), b.normal()]);
         let after = information.and_then(|view| self.goal.std_px(&(&self.known.matrix + view)));
         let Some(after) = after else { return 0.0 };
@@ -92,8 +92,12 @@ impl PairTeaching {
 
     /// The next shared view to suggest, with `goal_px` as the uncertainty to reach. The search
     /// starts from the first camera's last view. `cameras` must be those that this was made of.
-    pub fn suggest(&self, cameras: [&Teaching; 2], goal_px: Option<f64>) -> Option<SharedView> {
-        let noises = cameras.map(Teaching::corner_noise);
+    pub fn suggest(
+        &self,
+        cameras: [&CameraInformation; 2],
+        goal_px: Option<f64>,
+    ) -> Option<SharedView> {
+        let noises = cameras.map(CameraInformation::corner_noise);
         let spaces = [cameras[0].space(&noises[0], &[]), cameras[1].space(&noises[1], &[])];
         let from = cameras[0].views().last().map(|view| &view.camera_from_board);
         suggest_shared_view(&self.known, &self.goal, [&spaces[0], &spaces[1]], (from, goal_px))
