@@ -48,7 +48,7 @@ impl OtherBoard {
     }
 
     /// After an image in which `of_kind` found its board. A chessboard that moves is often lost for
-    /// a few frames: another board is looked for only where it is lost for longer.
+    /// a few frames: another board is searched for only where it is lost for longer.
     fn after_found(of_kind: &DetectorOfKind) -> Self {
         match of_kind {
             DetectorOfKind::Plain(_) => Self { frames_left: RECOGNIZED_EVERY, ..Self::at_start() },
@@ -77,7 +77,7 @@ impl OtherBoard {
     }
 }
 
-/// Whether a board with markers, but another, may be why this one is not found: there are corners to
+/// Whether another board with markers may be why this one is not found: there are corners to
 /// recognize it by. The squares between markers are chessboard-like, and a few of them may form a
 /// grid, but none as large as the chessboard that is asked for.
 fn may_be_of_another(none: &NoBoard) -> bool {

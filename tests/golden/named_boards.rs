@@ -10,7 +10,7 @@ use crate::coded_targets::{april_grid, charuco, image};
 use crate::real_boards::decoded;
 use crate::shared_data::shared_data;
 
-/// Frames for which a chessboard may be lost before another board is looked for.
+/// Frames for which a chessboard may be lost before another board is searched for.
 const A_SECOND: u32 = RECOGNIZED_EVERY;
 
 /// Why the board is not found in an image alone.
@@ -54,7 +54,7 @@ fn a_board_with_markers_is_named_where_a_chessboard_is_asked_for() {
             let none = finder.track(image.view(), &options).expect_err("another board");
             assert_eq!(none.to_string(), reason);
         }
-        // Where the chessboard was found before, it is another one's turn after a second.
+        // Where the chessboard was found before, another one is named after a second.
         let (own, _) = self::image(&asked, 403);
         finder.track(own.view(), &options).expect("the board that is asked for");
         for frame in 0..=A_SECOND {
@@ -64,7 +64,7 @@ fn a_board_with_markers_is_named_where_a_chessboard_is_asked_for() {
     }
 }
 
-/// Photographs of a webcam: nobody who asks for a chessboard there should be told of a small one.
+/// Photographs of a webcam: nobody who asks for a chessboard there should read of a small one.
 #[test]
 fn a_real_charuco_board_is_named_where_a_chessboard_is_asked_for() {
     let Some(folder) = shared_data("charuco-lifecam") else { return };

@@ -306,7 +306,7 @@ impl TargetDetector {
                 }
                 BoardLabels::Elsewhere(markers) => seen.elsewhere = seen.elsewhere.max(markers),
                 BoardLabels::Two(first, _) => seen.undecided = seen.undecided.max(first.markers),
-                // A mirror does not turn a floor into the target.
+                // A floor in mirror image is not the target either.
                 BoardLabels::None if is_floor => {}
                 BoardLabels::None => {
                     seen.mirrored = seen.mirrored.max(self.mirrored_markers(view));

@@ -14,7 +14,7 @@ use crate::detection::search::candidates::edges_along;
 use crate::imaging::gray::GrayView;
 
 /// How far around a lattice candidates count as its continuation, relative to its own extent:
-/// beyond that, a lens bends its lines away from their prediction. Chosen.
+/// beyond that, the distortion moves its lines away from their prediction. Chosen.
 const AROUND: f32 = 2.0;
 /// The largest distance of such a candidate from a crossing of the lines, in narrow intervals: an
 /// unrelated position lies so near to one in 4 of 25 cases. Chosen.

@@ -1,7 +1,7 @@
 //! Limits for lattices that are larger than the board: floors of tiles, walls, woven cloth.
 //!
 //! A lattice with twice as many crossings as the board is not grown further, or only a little to
-//! tell its size: no placement of the board in it is accepted (`least_on_board`). The places
+//! report its size: no placement of the board in it is accepted (`least_on_board`). The places
 //! measured for floors are limited, and floors do not count as starts: a board that stands on a
 //! floor is searched for as often as on a table.
 

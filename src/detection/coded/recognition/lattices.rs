@@ -21,7 +21,7 @@ struct LevelCandidates {
     order: Vec<(usize, usize)>,
 }
 
-/// What the levels of one image show, as far as they were looked at.
+/// What the levels of one image show, as far as they were searched.
 #[derive(Debug, Default)]
 pub(super) struct SeenCandidates {
     levels: Vec<LevelCandidates>,
