@@ -39,8 +39,8 @@ const QUADRATICS: usize = 6;
 /// of 55 coefficients, and the time grows with the cube.
 const MOST_CORNERS: usize = 200;
 
-/// The least ratio of eigenvalues of the quadratics at the corners. Below it, corners lie on a
-/// line, in two rows, or on a circle. For a grid it is 0.02.
+/// The least ratio of the smallest to the largest eigenvalue of the quadratics' products at the
+/// corners. Below it, corners lie on a line, in two rows, or on a circle. For a grid it is 0.02.
 const LEAST_PART: f64 = 1e-4;
 
 /// The position of a tile depends on the height there. The second round is exact to a thousandth of
@@ -91,7 +91,7 @@ impl BoardSurface {
         [(x - self.middle[0]) / unit, (y - self.middle[1]) / unit]
     }
 
-    /// The quadratics at a position, in units of the extent along each axis.
+    /// The quadratics at a position, in units of half the extent along each axis.
     fn quadratics(&self, at: &[f64; 2]) -> [f64; QUADRATICS] {
         let unit = self.half_extent[0].max(self.half_extent[1]);
         let [x, y] = [0, 1].map(|k| at[k] * unit / self.half_extent[k]);

@@ -60,8 +60,8 @@ pub fn calibrate_and_check(
 
 /// As [`calibrate_and_check`]. Where the scatter between views exceeds that of their corners, the
 /// covariance of the lens comes from repeated solves, each without one view or group of views.
-/// Where a larger lens model than the requested one predicts views better, the difference from it
-/// counts as an error of the lens.
+/// Where a larger lens model than the requested or chosen one predicts views better, the difference
+/// from it counts as an error of the lens.
 ///
 /// # Errors
 /// As [`calibrate_camera`].
@@ -161,7 +161,8 @@ enum Minima {
     BothSides,
 }
 
-/// As [`solve`], with `noise_floor_px` added to every corner's own standard deviation.
+/// As [`solve`], with `noise_floor_px` added to every corner's own standard deviation, in
+/// quadrature.
 fn solve_weighted(
     problem: &CameraProblem,
     noise_floor_px: f64,

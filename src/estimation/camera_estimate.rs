@@ -34,7 +34,7 @@ pub struct CameraEstimate {
     /// corner's own `std_px`. Estimated by maximum likelihood.
     pub noise_floor_px: f64,
     /// The noise estimated from the residuals, as a factor on each corner's `std_px` with
-    /// [`Self::noise_floor_px`] added.
+    /// [`Self::noise_floor_px`] added in quadrature.
     pub noise: f64,
     /// Variance inflation: the ratio to the variances for independent corners, 1 unless residuals
     /// within a view are correlated. All covariances include it.

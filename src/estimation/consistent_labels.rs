@@ -66,8 +66,8 @@ pub fn consistent_labels(
     chosen
 }
 
-/// The relative pose that is consistent with the most shared frame sets, by the median distance;
-/// `None` for a sensor that shares none.
+/// The relative pose with the least median distance over the shared frame sets, each under its
+/// nearest symmetry; `None` for a sensor that shares none.
 fn agreed(
     views: &[FrameSetPose],
     reference_from_board: &[Option<Pose>],

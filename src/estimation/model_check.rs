@@ -30,7 +30,8 @@ pub struct ModelCheck {
     /// tested for every set; a board of general shape only where something else shows that the
     /// model is wrong.
     pub board_bow_m: Option<[f64; 2]>,
-    /// A larger lens model that predicts views better, where the requested one is too simple.
+    /// A larger lens model that predicts views better, where the requested or chosen one is too
+    /// simple.
     pub lens_misfit: Option<LensMisfit>,
 }
 

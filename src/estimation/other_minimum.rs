@@ -36,8 +36,8 @@ pub struct OtherMinimum {
 }
 
 /// The closer of the fits on both sides of the ridge, and the other one where the views do not
-/// decide between them. `fit` unchanged where its model has no ridge, or given parameters leave
-/// none.
+/// decide between them. `fit` unchanged where its model has no ridge, given parameters leave none,
+/// or there is no minimum beyond it.
 pub(crate) fn closer_of_two_minima(
     fit: CameraFit,
     prepared: &Prepared,
@@ -54,8 +54,8 @@ pub(crate) fn closer_of_two_minima(
         .collect();
     let (best, other) = if closer { (fit, other) } else { (other, fit) };
     // With independent corners, the likelihood is valid. With errors common to a view, which the
-    // likelihood does not include, the scatter between views is. Both are used, since tiny
-    // differences may all have the same sign by chance.
+    // likelihood does not include, the scatter between views is. The larger of the two
+    // probabilities is used, since tiny differences may all have the same sign by chance.
     let by_views = 1.0 - normal_probability(in_standard_errors(&differences));
     let odds = (-0.5 * differences.iter().sum::<f64>() / best.noise_square()).exp();
     let probability = by_views.max(odds / (1.0 + odds));

@@ -190,8 +190,8 @@ fn compare_halves(
 }
 
 /// The factor on variances for the uncertainty of the board's shape. Each sensor that measured the
-/// shape gives a factor for itself; the excess is divided by the number of these sensors, since
-/// together they know the shape that much better.
+/// shape gives a factor for itself; the mean of their excesses over 1 is divided by the number of
+/// these sensors, since together they know the shape that much better.
 fn shape_widening_of(problem: &RigProblem, alone: &[(Prepared, CameraFit)]) -> f64 {
     let of_sensor = |(sensor, (_, fit)): (&RigSensor, &(Prepared, CameraFit))| {
         let with_shape = sensor.lens_covariance_with_shape.as_ref()?;

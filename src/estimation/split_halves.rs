@@ -135,7 +135,7 @@ impl<'a> SplitHalves<'a> {
         if all.len() < MIN_FRAME_SETS {
             return None;
         }
-        // Frame sets with the same sensors are assigned to both halves in equal numbers.
+        // Frame sets with the same sensors follow each other, and alternate between the halves.
         let sensors = |frame_set: &Vec<usize>| -> Vec<usize> {
             frame_set.iter().map(|index| fit.observations[*index].sensor).collect()
         };

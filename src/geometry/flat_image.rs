@@ -2,8 +2,8 @@
 
 use nalgebra::{Vector2, Vector3};
 
-/// The largest normalized radius in a flat image: 78° off the axis. Further out, everything is
-/// stretched to a blurred edge.
+/// The largest normalized radius in a flat image: 78° off the axis. Directions further off count as
+/// if they were at this radius.
 pub const WIDEST: f64 = 4.7;
 
 /// Normalized coordinates of a direction. For a direction that no flat image shows (too far off the

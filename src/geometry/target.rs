@@ -302,7 +302,7 @@ impl Target {
     }
 
     /// A chessboard whose corners span the same area as this target's, for uses that only need a
-    /// board's extent.
+    /// board's extent. For an AprilGrid its width is exact, and its height approximate.
     pub fn spanned_chessboard(&self) -> Chessboard {
         let size = self.lattice();
         let square_m = match self {

@@ -120,8 +120,8 @@ impl ThinLens {
 
     /// A board with `squares` squares along the image's side of `side_px` pixels that fills the
     /// part `fill` of it. Its distance is such that both the nearest and the farthest corner of the
-    /// tilted board stay sharp to `blur_px`: in the middle (in 1/distance) of the sharp range,
-    /// which is taken to end at three times its nearest distance.
+    /// tilted board stay sharp to `blur_px`: in the middle (in 1/distance) of the sharp range, which
+    /// is cut off at three times its nearest distance.
     pub fn board(self, squares: u32, side_px: u32, fill: f64, blur_px: f64) -> BoardAdvice {
         let DepthOfField { near_m, far_m } = self.depth_of_field(blur_px);
         let far_m = far_m.min(3.0 * near_m);

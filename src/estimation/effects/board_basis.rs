@@ -13,7 +13,8 @@ use crate::estimation::joint::BoardObservation;
 /// of the board, they leave less than a hundredth unexplained.
 pub(super) const MAX_DEGREE: usize = 9;
 
-/// The highest degree in a test of whether the board has a shape at all.
+/// The highest degree in a test of whether the board has a shape at all, and in the first steps of
+/// a search for it.
 const ROUGH_DEGREE: usize = 5;
 
 /// With up to this many points, each has its own offset. Two unknowns per point make the equations
@@ -62,10 +63,10 @@ impl BoardBasis {
         self.half_extent[0].hypot(self.half_extent[1])
     }
 
-    /// With offsets of single points and all degrees if `in_detail`; otherwise with the few
-    /// functions that suffice to test whether there is a shape at all. `None` where the points do
-    /// not lie near one plane z = const, are too few, or are more than the views of one board can
-    /// have.
+    /// With all degrees if `in_detail`, and offsets of single points unless there are many;
+    /// otherwise with the few functions that suffice to test whether there is a shape at all, or to
+    /// start a search for it. `None` where the points do not lie near one plane z = const, are too
+    /// few, or are more than the views of one board can have.
     pub(crate) fn of(observations: &[BoardObservation], in_detail: bool) -> Option<Self> {
         let all = || observations.iter().flat_map(|observation| &observation.points);
         let half_extent =

@@ -214,7 +214,8 @@ impl EffectSearch {
         self.variances.moves()
     }
 
-    /// A search that starts from this state with all motions zero, in another scene.
+    /// A search that starts from this state with all motions set to zero, in another scene. Motion
+    /// stays in the model.
     pub(super) fn without_motion(&self, scene: Scene<'_>) -> Option<Self> {
         let mut state = self.state.clone();
         for effect in self.variances.effects().into_iter().filter(|effect| effect.is_motion()) {

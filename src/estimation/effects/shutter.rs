@@ -14,7 +14,7 @@ use crate::estimation::normal_probability::normal_probability;
 use crate::estimation::student::normal_deviations;
 use crate::geometry::median::median;
 
-/// The views agree where their mean is this many of its standard deviations from 0. With fifteen
+/// The views agree where their mean is this many of its standard deviations above 0. With fifteen
 /// views, chance alone exceeds it less than five times in a thousand.
 const AGREED: f64 = 3.0;
 

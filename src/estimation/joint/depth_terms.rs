@@ -55,8 +55,8 @@ pub(crate) struct CorrectionColumns<'a> {
 
 /// Adds the planes to the normal equations, and returns every tile's residual in standard
 /// deviations (infinite where a tile cannot be linearized). Where the boards' poses are not `free`,
-/// only their coupling with the other parameters is added. Of the globals' block only the upper
-/// triangle is filled.
+/// their own blocks and gradients are left out, and only their coupling with the globals is added.
+/// Of the globals' block only the upper triangle is filled.
 pub(crate) fn add_planes(
     equations: &mut NormalEquations,
     at: LinearizationPoint<'_>,
@@ -145,7 +145,7 @@ struct WeightedTile<'a> {
     sensor: usize,
 }
 
-/// Returns false where the lens cannot project the tile's pixel, the plane is edge-on, or the
+/// Returns false where the lens has no ray for the tile's pixel, the plane is edge-on, or the
 /// correction flattens depth.
 fn linearize_tile(
     at: LinearizationPoint<'_>,

@@ -180,7 +180,7 @@ impl NormalEquations {
         }
     }
 
-    /// Number of frame sets with an observation.
+    /// Number of frame sets with a used corner, or with a tile that determines their pose.
     pub(crate) fn seen_frame_sets(&self) -> usize {
         self.frame_sets.iter().filter(|block| block.hessian[0][0] > 0.0).count()
     }

@@ -76,8 +76,8 @@ struct CornerProblem {
 
 impl CornerBlocks {
     /// The fit, starting from sensors that were calibrated one by one. The pose jitter between
-    /// color and infrared starts at the median over the views; or, where `together`, at none, so
-    /// that infrared's lens is fitted to the boards at their poses by color.
+    /// color and infrared starts at the median over the views; or, where `together`, at next to
+    /// none, so that infrared's lens is fitted to the boards at their poses by color.
     pub(super) fn fit_from(problem: &RgbdProblem, together: bool) -> Option<Self> {
         let center = middle_of_corners(problem);
         let start = CornerState::of(problem, &center);

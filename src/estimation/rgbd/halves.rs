@@ -38,7 +38,7 @@ impl RgbdHalves {
             together && !view.color.is_empty() && !view.tiles.is_empty()
         };
         let mut all: Vec<usize> = (0..problem.views.len()).filter(usable).collect();
-        // Views with infrared come first, so that both halves have as many of them.
+        // Views with infrared come first, so that they alternate between the halves too.
         all.sort_by_key(|index| problem.views[*index].infrared.is_empty());
         let views = [0, 1].map(|half| all.iter().copied().skip(half).step_by(2).collect());
         let estimates = [0, 1].map(|half: usize| {

@@ -1,12 +1,12 @@
 //! Color, infrared and depth as one device: lenses, the sensors' relative pose, and the depth
 //! camera's systematic error, with their covariance.
 //!
-//! Corners and planes are not weighted against each other: a depth camera's unknown systematic
-//! error is as large as the information that its planes could add to corners, and would bias the
-//! lenses. So corners (color, and infrared where it sees the board) come first and determine
-//! lenses, board poses and the sensors' relative pose. Planes then determine the rest: the
-//! correction, and for a camera without an infrared image its lens and pose. The covariance of the
-//! corners' estimate is propagated to the planes'.
+//! Corners and planes are not weighted against each other: what planes could add to corners is no
+//! larger than a depth camera's unknown systematic error, which would bias the lenses. So corners
+//! (color, and infrared where it sees the board) come first and determine lenses, board poses and
+//! the sensors' relative pose. Planes then determine the rest: the correction, and for a camera
+//! without an infrared image its lens and pose. The covariance of the corners' estimate is
+//! propagated to the planes'.
 //!
 //! Depth is measured by the infrared camera where there is one: they share lens and pose.
 

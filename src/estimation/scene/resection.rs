@@ -67,8 +67,8 @@ fn aligned(from: &[Point3<f64>; 3], to: &[Point3<f64>; 3]) -> Option<Pose> {
     Some(Pose::from_matrix(&rotation, to[0].coords - rotation * from[0].coords))
 }
 
-/// The pose `camera_from_scene` with the most inliers among `seen`; `None` where chance explains as
-/// many.
+/// The pose `camera_from_scene` whose inliers among `seen` are the least likely to arise by chance;
+/// `None` where chance explains them.
 pub fn resect(seen: &[PointInImage], lens: &Lens, size: ImageSize) -> Option<Consensus<Pose>> {
     let bearings = seen.iter().map(|seen| lens.bearing_from_pixel(seen.pixel)).collect();
     let options =

@@ -28,8 +28,8 @@ pub struct CalibratedPair<'a> {
     pub size: ImageSize,
 }
 
-/// The relative pose with the most likely set of inliers; its translation has unit length. `None`
-/// where chance explains as many inliers, or none is in front of both cameras.
+/// The relative pose whose inliers are the least likely to arise by chance; its translation has
+/// unit length. `None` where chance explains them, or none is in front of both cameras.
 ///
 /// ```
 /// use nalgebra::{Point2, Vector3};

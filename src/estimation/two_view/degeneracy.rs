@@ -63,7 +63,8 @@ const LEAST_INLIERS: usize = 16;
 /// A displacement below this is no motion, in pixels.
 const STILL_PX: f64 = 0.5;
 
-/// The geometry with the most likely set of inliers; `None` where chance explains as many.
+/// The geometry whose inliers are the least likely to arise by chance; `None` where chance explains
+/// them, or where there are too few.
 pub fn two_view_geometry(pairs: &[PointPair], size: ImageSize) -> Option<TwoViewGeometry> {
     if let Some(still) = still(pairs) {
         return Some(still);
