@@ -36,8 +36,9 @@ pub struct Detection {
     pub corners: Vec<DetectedCorner>,
     /// Whether corners of the board are missing.
     pub partial: bool,
-    /// Whether indices count from the board's first corner. False for a partial board that shows
-    /// too little to locate it on the board: then indices are relative to one of the seen corners.
+    /// Whether indices count from the board's first corner. False for a partial board of which too
+    /// little is seen to know which part it is: then indices are relative, and may count from a
+    /// corner that is not seen.
     pub position_known: bool,
     /// The orientation cannot be determined from any image of this board (`cols` + `rows` even):
     /// the first corner is the one nearest the image's top left.

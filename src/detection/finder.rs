@@ -37,7 +37,7 @@ struct OtherBoard {
     seen: Option<String>,
     /// Frames until it is recognized again.
     frames_left: u32,
-    /// Frames from the last recognition to the next.
+    /// Frames from the next recognition to the one after it.
     interval: u32,
 }
 
@@ -123,7 +123,7 @@ impl TargetFinder {
     }
 
     /// As [`Self::find`], in the next image of a sequence: another board is named as it was
-    /// recognized last, one to eight seconds ago.
+    /// recognized last, at most eight seconds ago.
     ///
     /// # Errors
     /// As [`Self::find`].
@@ -154,7 +154,7 @@ impl TargetFinder {
     }
 
     /// Finds it where it was in the last image, else anywhere. Another board with markers is named
-    /// as it was recognized last, one to eight seconds ago.
+    /// as it was recognized last, at most eight seconds ago.
     ///
     /// # Errors
     /// As [`Self::find`].

@@ -44,7 +44,7 @@ impl Background {
     }
 
     /// The light that arrives along `ray` (of any length); for rays that do not meet the wall, the
-    /// wall's mean brightness.
+    /// wall's brightness in its middle, without rectangles.
     pub fn light(&self, ray: &Vector3<f64>) -> f64 {
         if !(ray.z > 0.0) {
             return self.level;

@@ -161,7 +161,7 @@ impl Store {
     /// Checks that enough of the disk stays free after `bytes` more.
     ///
     /// # Errors
-    /// [`StoreError::NoRoom`] where they do not.
+    /// [`StoreError::NoRoom`] where it does not.
     pub(crate) fn has_room(&self, bytes: u64) -> Result<(), StoreError> {
         const MB: u64 = 1_000_000;
         // Where the free space is unknown, the disk is assumed to have room: a write that fails

@@ -89,7 +89,7 @@ pub enum StoreError {
         /// Why it stays, and what can be done about it, if anything.
         reason: String,
     },
-    /// Less of the disk is free than has to stay free.
+    /// Less of the disk would stay free than has to.
     #[error(
         "store {}: {free_mb} MB are free and {least_mb} MB are to stay free; make room, or give less as `min_free_mb` in [store]",
         path.display()

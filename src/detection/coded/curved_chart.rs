@@ -74,7 +74,8 @@ impl CurvedChart {
         [flat[0] + added[0], flat[1] + added[1]]
     }
 
-    /// The pixel of a place near the crossing, by Newton's method; `None` where it diverges.
+    /// The pixel of a place near the crossing, by Newton's method; `None` where it ends far from
+    /// the crossing.
     pub(super) fn pixel(&self, place: [f64; 2]) -> Option<[f64; 2]> {
         let mut pixel = self.origin;
         for _ in 0..STEPS {

@@ -95,7 +95,7 @@ impl LatticeSearch {
 pub(super) struct Unlabeled {
     candidates: usize,
     lattice: (usize, u32, u32),
-    /// This lattice was not grown to its end.
+    /// This lattice was not grown to its end: it may have more crossings.
     goes_on: bool,
     elsewhere: usize,
     undecided: usize,
@@ -328,8 +328,8 @@ impl TargetDetector {
         }
     }
 
-    /// Grows a lattice of up to `most_crossings` from the square at candidate `first` into `grid`;
-    /// false if there is none.
+    /// Grows a lattice from the square at candidate `first` into `grid`, until it has more than
+    /// `most_crossings`; false if there is none.
     pub(super) fn start(
         &mut self,
         view: GrayView<'_>,

@@ -21,7 +21,7 @@ const AROUND: f32 = 2.0;
 const MOST_OFF: f32 = 0.2;
 
 impl TargetDetector {
-    /// Grows the lattice in `grid` up to `most` crossings.
+    /// Grows the lattice in `grid` until it has more than `most` crossings.
     pub(super) fn grow_further(&mut self, view: GrayView<'_>, most: usize) {
         let scene = LatticeScene {
             image: view,

@@ -16,8 +16,8 @@ const PLACES_A_CROSSING: usize = 8;
 /// Floors whose cells are read in one image. It only decides which reason is given for no board.
 /// Chosen.
 const MOST_READ: usize = 6;
-/// Crossings up to which a floor that is read is grown, unless the board has more: reasons state
-/// the size of chessboards of up to 20x20 corners. Chosen.
+/// Crossings up to which a floor that is read is grown, or `LARGER` times the board's if that is
+/// more: reasons state the size of chessboards of up to 20x20 corners. Chosen.
 const MOST_NAMED: usize = 400;
 
 /// Limits of the work on floors.

@@ -8,7 +8,7 @@ pub(super) struct HeldCrossing {
     pub(super) at: (i32, i32),
     /// That distance, in narrow intervals; scaled up for a suspect crossing.
     pub(super) off: f32,
-    /// The same in pixels, along each axis of the image.
+    /// The larger component of its offset along the image's axes, in pixels, not scaled.
     pub(super) off_px: f32,
     /// One unit of the lattice along each axis.
     pub(super) steps: Option<[Vec2; 2]>,

@@ -16,7 +16,7 @@ pub(super) struct LastTarget {
     pub(super) label: Option<(BoardLabel, bool)>,
     /// The level of the image on which it was found.
     pub(super) level: usize,
-    /// Whether it was found at a scale between the levels of the pyramid.
+    /// Whether it was found at a scale that the pyramid does not have.
     pub(super) between: bool,
     /// Images since the last one that showed it.
     pub(super) missed: u32,

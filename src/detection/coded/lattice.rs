@@ -70,7 +70,7 @@ impl LatticeGrowth {
         }
     }
 
-    /// Grows `grid` up to `most` crossings.
+    /// Grows `grid` until it has more than `most` crossings.
     pub(super) fn grow(&mut self, scene: LatticeScene<'_>, grid: &mut Grid, most: usize) {
         self.queue.clear();
         for index in 0..grid.members.len() {

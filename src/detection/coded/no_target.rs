@@ -33,7 +33,7 @@ pub enum NoTarget {
         cols: u32,
         /// Corners along the other side.
         rows: u32,
-        /// It was followed no further, and has more.
+        /// Whether it was followed no further, so that it may have more.
         goes_on: bool,
         /// What was searched for.
         target: String,

@@ -29,7 +29,8 @@ impl Perspective {
         Self::fit_to(grid, |_, _| true)
     }
 
-    /// Fits those corners of `grid` that are consistent; `None` if they do not determine it.
+    /// Fits those corners of `grid` that `is_consistent` accepts; `None` if they do not determine
+    /// it.
     pub(in crate::detection) fn fit_to(
         grid: &Grid,
         is_consistent: impl Fn(i32, i32) -> bool,
@@ -77,7 +78,7 @@ impl Perspective {
         self.predict_by(grid, i, j, |_, _| true)
     }
 
-    /// The same, with the residuals of the consistent corners only.
+    /// The same, with the residuals only of corners that `is_consistent` accepts.
     fn predict_by(
         &self,
         grid: &Grid,
@@ -103,8 +104,8 @@ impl Perspective {
         Some(self.at(i as f32, j as f32)? + correction)
     }
 
-    /// Distance of the corner (i, j) of `grid` from its prediction by the consistent ones, in
-    /// steps.
+    /// Distance of the corner (i, j) of `grid` from its prediction with the residuals of corners
+    /// that `is_consistent` accepts, in steps.
     pub(in crate::detection) fn off(
         &self,
         grid: &Grid,

@@ -116,7 +116,8 @@ impl Prediction {
     }
 }
 
-/// Measures the corner near `expected` in windows of one size, moved until they are centered on it.
+/// Measures the corner near `expected` in windows of one size, moved until the score suffices, and
+/// then in a narrow one.
 pub(in crate::detection) fn settle(
     probe: Probe<'_>,
     expected: Vec2,

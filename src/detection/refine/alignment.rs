@@ -53,9 +53,9 @@ pub(super) struct Alignment {
     pub covariance: [f64; 3],
     /// Mean square of the residuals in units of the noise, corrected for the unknowns.
     pub mean_square: f64,
-    /// Sum of the samples' weights.
+    /// Sum of the samples' weights, each times its robust weight.
     pub samples: f64,
-    /// Inlier ratio: the fraction of that sum that matches the print.
+    /// Inlier ratio: that sum relative to the sum without the robust weights.
     pub inlier_ratio: f64,
     /// Black and white, in gray levels.
     pub grays: [f64; 2],

@@ -24,7 +24,7 @@ use crate::detection::refine::window::Window;
 /// a hundredth of the information of the corner's neighbors (above).
 const LEAST_EXTENT: f64 = 0.5;
 
-/// The curvature of one edge in its corner's window.
+/// The curvature of one edge in its corner's window, beyond that of the fit.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct EdgeCurvature {
     /// How much it exceeds that of the fit, towards the edge's normal, in 1/px.

@@ -8,7 +8,7 @@ use crate::detection::refine::field::{BoardField, FieldSample};
 use crate::detection::refine::grid_corner::GridCorner;
 use crate::detection::refine::stepped_field::SteppedFit;
 
-/// One corner after the first fit, in image pixels.
+/// One corner by its latest fit or alignment, in image pixels.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FittedCorner {
     /// Where it is.

@@ -123,8 +123,8 @@ pub(super) fn kernel_radius(sigma: f64) -> i64 {
     (KERNEL_REACH * sigma).ceil().max(1.0) as i64
 }
 
-/// The minimum of `value` within `range`, if it has one minimum there: known to 0.618^`sections` of
-/// the range (J. Kiefer: Sequential minimax search for a maximum, 1953).
+/// The position of the minimum of `value` in a range, if it has one minimum there: to
+/// 0.618^`sections` of the range (J. Kiefer: Sequential minimax search for a maximum, 1953).
 pub(super) fn golden_section(
     [mut low, mut high]: [f64; 2],
     sections: usize,
@@ -147,8 +147,8 @@ pub(super) fn golden_section(
     (low + high) / 2.0
 }
 
-/// The minimum of `value` near [0, 0], and its value: by Newton's method with differences over
-/// `steps`, in steps of at most ten of them.
+/// The position of the minimum of `value` near [0, 0], and the value there: by Newton's method with
+/// differences over `steps`, in steps of at most ten of them.
 pub(super) fn least_near(
     steps: [f64; 2],
     value: &mut dyn FnMut([f64; 2]) -> f64,

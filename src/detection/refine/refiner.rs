@@ -62,7 +62,7 @@ pub struct Refiner {
     pub(super) shaded: Vec<bool>,
     /// The same relative to the corners that fit best.
     may_be_lit: Vec<bool>,
-    /// For each corner, the light of its own that a second fit may try.
+    /// For each corner, when a second fit with light of its own is accepted; `None`: none is tried.
     light: Vec<Option<LocalLightCriterion>>,
     /// For each corner, its second fit if that has light of its own.
     lit: Vec<Option<Fitted>>,
@@ -264,7 +264,8 @@ impl Refiner {
         }
     }
 
-    /// The ratio of the corners' scatter about the board's lines to that which `stds` predict.
+    /// The factor on standard deviations, from the corners' scatter about the board's lines and
+    /// what `stds` predict of it.
     fn straightness_of(&mut self, refined: &[Option<RefinedCorner>]) -> f64 {
         for axis in 0..2 {
             let lines = self.lattice.lines(axis).map(|(place, line)| {

@@ -198,7 +198,7 @@ impl LevelSearch {
         if !verify(probe, grid) {
             return GridOutcome::Nothing;
         }
-        // A grid that is no larger than one that was bridged before is not bridged again.
+        // A grid is bridged only if it is enough larger than all that were bridged before.
         let verified = grid.members.len();
         if verified >= evidence.bridged + thresholds.worth_bridging {
             evidence.bridged = verified;
@@ -265,8 +265,8 @@ fn larger_bounds(
     None
 }
 
-/// Where the board can lie in the grid, given its visible ends. `None` if even the possible ends
-/// rule it out.
+/// Where the board can lie in the grid, given its sure ends. `None` if it does not fit with all
+/// possible ends as its own.
 fn placement(
     scene: &SearchScene<'_>,
     grid: &Grid,

@@ -3,7 +3,7 @@
 //!
 //! Each corner is measured in the image itself, in a window as wide as its squares, at its last
 //! position and at the position that its motion predicts. The result must pass the tests of a
-//! search: every corner of the board is there, every edge holds, and there are no corners beyond.
+//! search: every corner of the board is there, most edges hold, and there are no corners beyond.
 //! Otherwise the whole image is searched.
 
 mod board_edges;

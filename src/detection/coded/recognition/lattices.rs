@@ -84,7 +84,8 @@ impl TargetDetector {
         self.used.resize(level.found.len(), false);
     }
 
-    /// Leaves the largest lattice of `view` in `largest`, and the first larger one in `floor`.
+    /// Leaves the largest lattice of up to `MOST_CROSSINGS` in `largest`, and the first lattice
+    /// with more in `floor`.
     fn largest_lattice(
         &mut self,
         view: GrayView<'_>,
