@@ -92,7 +92,7 @@ pub enum Rejection {
     OtherImageSize {
         /// This image's size.
         got: ImageSize,
-        /// A scene that shares nothing with any kept view.
+        /// The session's size.
         expected: ImageSize,
     },
     /// Too few features to recognize a scene by.
@@ -280,7 +280,7 @@ const CUT: f64 = 0.25;
 /// If more time than this lies between two frames, in seconds, no speed is estimated.
 pub(crate) const ONE_MOVEMENT_S: f64 = 0.5;
 
-/// The previous frame with a board.
+/// The previous frame, if it shows a board.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PreviousBoard {
     /// Its time, in nanoseconds.

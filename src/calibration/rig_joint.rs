@@ -190,8 +190,8 @@ fn measured_by(
     MeasuredBoard::mean_of(&shapes)
 }
 
-/// If a camera's residuals grow by more than this factor in the joint solve, its pose is not
-/// constant.
+/// If a camera's residuals grow by more than this factor in the joint solve, the cameras moved
+/// relative to each other, or the board moved between their images.
 const MISFITTING: f64 = 1.5;
 /// Standard deviations above which a relative pose is reported as loose: of the rotation in
 /// degrees, of the translation as a part of its length.

@@ -8,7 +8,7 @@ use crate::estimation::error::EstimationError;
 /// How to solve.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct SolveOptions {
-    /// The lens and what else is estimated for each image sensor. Default: everything.
+    /// The lens model and what else is estimated for each image sensor. Default: the solve chooses.
     pub camera: CameraOptions,
     /// What to do with a camera whose depth cannot be calibrated. Default: an error.
     pub unsolved_depth: UnsolvedDepth,

@@ -94,7 +94,8 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
         let views = sensor.views.iter().map(|seen| seen.view.clone()).collect();
         let held = |lens: Lens| CameraOptions::holding(&lens, &options.interrupt);
         let options = sensor.given.map_or_else(|| options.clone(), held);
-        // While a board stands still, another camera may see it where it did not before.
+        // Views in which the board stands as before count too: another camera may see it there for
+        // the first time.
         let options = CameraOptions { copies_count: true, ..options };
         match solve_views(&CameraProblem { image_size: sensor.image_size, views }, &options) {
             Ok(solved) => singles.push(SingleSensor { input: sensor, solved }),

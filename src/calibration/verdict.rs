@@ -25,7 +25,7 @@ const CORRELATION: [f64; 2] = [0.5, 0.8];
 const SHARED: [f64; 2] = [2.0, 8.0];
 /// The same limits for the fraction of outliers among the corners.
 const OUTLIERS: [f64; 2] = [0.02, 0.25];
-/// The same limits for the fraction of the image with corners.
+/// The fraction of the image with corners from which a calibration is good, and usable.
 const COVERAGE: [f64; 2] = [0.6, 0.15];
 /// The greatest angle between the board's normals, in degrees, up to which its tilt counts as the
 /// same in all views.

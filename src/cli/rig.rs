@@ -206,8 +206,8 @@ impl SearchedSource {
     }
 }
 
-/// Views by camera, without the frame sets that every camera sees exactly as an earlier one; and,
-/// for each view left out, the name of the earlier one.
+/// Views by camera, without the frame sets that every camera sees as it sees an earlier one
+/// ([`is_same`]); and, for each view left out, the name of the earlier one.
 fn without_copies(
     mut cameras: Vec<Vec<FrameSetView>>,
 ) -> (Vec<Vec<FrameSetView>>, BTreeMap<String, String>) {

@@ -60,7 +60,8 @@ impl Connections {
     }
 
     /// Accepts a client; if there are too many, a silent one is closed for it. `None` if all are
-    /// being answered and those reserved for health are taken too.
+    /// being answered and those reserved for health are taken too, or if its address has as many as
+    /// it may have and all of these are being answered.
     pub(super) fn admit(&self, client: SocketAddr) -> Option<Arc<OpenConnection>> {
         let address = client.ip().to_canonical();
         let mut open = self.lock();

@@ -178,7 +178,7 @@ impl Capture {
     ) -> End {
         let opened = Instant::now();
         let mut held_for: Option<Arc<CameraSearch>> = None;
-        // When the device was last known to have the settings that a session fixed.
+        // When the device's settings were last fixed, released or checked.
         let mut held: Option<Instant> = None;
         let mut pace = IdlePace::default();
         let mut counted = Losses::default();

@@ -105,7 +105,7 @@ pub struct PlacementInImage {
     pub roll: f64,
 }
 
-/// The range of the fraction of the image. Small boards reach far into the corners of a fisheye's
+/// The range of [`PlacementInImage::share`]. Small boards reach far into the corners of a fisheye's
 /// image; the size of the squares limits how small.
 const SHARE: [f64; 2] = [0.12, 0.85];
 /// The greatest tilt and roll. Rendered boards are found up to 50°; beyond, detectors begin to miss

@@ -386,7 +386,8 @@ impl DepthCameraInformation {
     ) -> Option<DepthNormal> {
         let centered = Pose::new(color_from_board.rotation(), color.middle_in_camera);
         let [tile_scatter, together] = self.scatter.map(|scatter| scatter * scatter);
-        // Corners determine lens and pose, so the inflation applies to the planes only.
+        // If corners determine lens and pose, the inflation by correlated errors applies to the
+        // planes only; else to all of depth.
         let variance = if self.by_infrared { tile_scatter * together } else { tile_scatter };
         let planes =
             surface.and_then(|tiles| PlaneNormal::of(&self.depth, &centered, tiles, variance));
@@ -466,7 +467,7 @@ impl DepthCameraInformation {
             start = start.with_open_lens();
         }
         self.estimated_with_lenses = Some((*color.lens(), by_infrared.map(|posed| posed.lens)));
-        // The prior is what corners alone determine.
+        // With infrared, the prior includes what corners alone determine.
         self.depth = start.clone();
         let mut known = DepthInformation::prior(color.known(), &start);
         for in_color in color.views().iter().filter(|_| self.by_infrared) {

@@ -47,7 +47,7 @@ pub struct DepthColorPair<'a> {
 
 impl DepthGoal {
     /// The uncertainty of depth's pixels in color at each of `distances_m`, reduced to `figure`.
-    /// `None` where no pixel projects into color.
+    /// `None` where no pixel is in the valid regions of both lenses.
     pub fn new(
         sensors: DepthColorPair<'_>,
         distances_m: &[f64],

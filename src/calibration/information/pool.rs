@@ -118,7 +118,8 @@ impl Pool {
     }
 }
 
-/// Exchanges with a smaller relative gain are rounding.
+/// An exchange must lower the uncertainty to less than this fraction of its value: a smaller gain
+/// is rounding.
 const BETTER: f64 = 0.999;
 const MOST_EXCHANGES: usize = 50;
 

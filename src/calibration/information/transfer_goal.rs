@@ -26,7 +26,7 @@ const LEAST_SEEN: usize = 4;
 
 impl TransferGoal {
     /// The uncertainty of the first camera's pixels, taken to `distance_m`, in the second one,
-    /// reduced to `figure`. `None` where no pixel projects into it.
+    /// reduced to `figure`. `None` where no pixel is in the valid regions of both lenses.
     pub fn new(
         information: &PairInformation,
         cameras: [(&Lens, ImageSize); 2],

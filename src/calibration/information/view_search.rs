@@ -35,10 +35,10 @@ pub(super) trait Objective {
         placement: &PlacementInImage,
     ) -> Option<ObjectiveCandidate<Self::View>>;
 
-    /// What it would add; `None` where it adds nothing.
+    /// What it would add; `None` where its corners do not determine the pose of the board.
     fn information(&self, view: &Self::View) -> Option<Self::Information>;
 
-    /// The information after a view, scaled by `part`.
+    /// The information `known`, with the fraction `part` of that in a view added.
     fn after(&self, known: &Self::Known, view: &Self::Information, part: f64) -> Self::Known;
 
     /// The uncertainty that remains; `None` where something is undetermined.

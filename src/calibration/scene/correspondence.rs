@@ -119,7 +119,8 @@ const PREVIEWED: usize = 600;
 /// of the image with fewer features stayed. With less, only what is written into the images stayed.
 const SAME_PART: f64 = 0.2;
 
-/// Pairs with fewer preliminary matches are skipped: as many arise by chance.
+/// Pairs with fewer preliminary matches are skipped unless they are neighbors: as many arise by
+/// chance.
 const LEAST_PREVIEWED: usize = 6;
 
 /// Matches and verifies all pairs of `images` with `threads` threads. Stops early once `interrupt`

@@ -19,7 +19,7 @@ use crate::geometry::pose::Pose;
 const SAMPLES: usize = 11;
 /// Half the side of a patch, in keypoint scales: about what the inner cells of a descriptor cover.
 const RADIUS_SCALES: f64 = 3.0;
-/// Bounds of half the side of a patch, in pixels.
+/// Bounds of half the side of a patch, in pixels of the sampled image.
 const RADIUS_PX: [f64; 2] = [4.0, 12.0];
 /// The greatest number of steps of the fit.
 const STEPS: usize = 10;

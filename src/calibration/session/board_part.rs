@@ -177,7 +177,7 @@ impl BoardPart {
         self.newest.as_ref()
     }
 
-    /// The information that a view must add to be kept, as [`AdmissionOptions::worth`].
+    /// What a view must add to be kept, relative to the others: [`AdmissionOptions::worth`].
     pub(super) fn worth(&self) -> f64 {
         self.options.worth
     }
@@ -408,7 +408,8 @@ impl BoardPart {
         self.summary.coverage.add(detection, frame.image_size);
         self.views[at] = View { number, frame: frame.clone(), detection: detection.clone() };
         self.placements[at] = placement;
-        // An estimate starts from the previous one only if it has the same views.
+        // An estimate continues the previous one only if all views of that are among its own, in
+        // the same order.
         (self.continuation, self.exchanged) = (None, self.estimating);
         if let Some(information) = &mut self.information {
             information.remove(number);

@@ -82,7 +82,7 @@ impl DepthPart {
     }
 
     /// Whether a view is worth keeping for its information about depth: at least `worth` times half
-    /// of what the views with depth added on average. The first ones always are.
+    /// of what the views with depth added on average. `false` while depth does not count.
     pub(super) fn is_informative(
         &self,
         added: &ViewInformation,
@@ -129,7 +129,7 @@ impl DepthPart {
         let next = self.counted().and_then(|depth| suggest_depth_view(depth, color, goal_px));
         (self.next, self.is_requested) = (next, false);
         let Some(depth) = self.counted() else { return own.cloned() };
-        // While the camera's pose is only a guess, neither the uncertainty after a view nor the
+        // While the pose of depth is only a guess, neither the uncertainty after a view nor the
         // number of views can be predicted.
         let is_placed = depth.is_placed(color);
         let next = self.next.as_ref();

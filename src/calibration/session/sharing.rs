@@ -39,16 +39,16 @@ impl<'a> Sharing<'a> {
         Some(self.placements(camera)).filter(|shared| shared.len() < WANTED)
     }
 
-    /// Whether the board is held unlike in all of this camera's shared views.
+    /// Whether the board is held differently than in each of this camera's shared views.
     pub(super) fn is_held_anew(self, camera: usize, seen: &CameraFrame) -> bool {
         let (frame, Some(detection)) = (&seen.frame, seen.board()) else { return false };
         self.cameras[camera].is_new_among(&self.placements(camera), frame, detection)
     }
 
-    /// Whether a camera sees the board unlike in all of its shared views, and another camera sees
-    /// it `simultaneous` with it. A board is often kept while it still moves, and then nothing is
-    /// shared where cameras are not synchronized; once it is held still, it is new to no camera's
-    /// own lens.
+    /// Whether a camera that should share more sees the board held differently than in each of its
+    /// shared views, and another camera sees it `simultaneous` with it. A board is often kept while
+    /// it still moves, and then nothing is shared where cameras are not synchronized; once it is
+    /// held still, it is new to no camera's own lens.
     pub(super) fn is_new(
         self,
         frame_set: &[Option<CameraFrame>],

@@ -100,7 +100,7 @@ const LONGEST_S: f64 = 400.0;
 /// The detector's limits: squares of 6 px, tilts up to 55°.
 const LEAST_SIDE_PX: f64 = 6.0;
 const LEAST_FACING: f64 = 0.57;
-/// The noise of a corner whose edges are one pixel wide; and the blur.
+/// The noise of a corner whose edges are one pixel long, with a blur of one pixel; and the blur.
 const NOISE_PX: f64 = 0.5;
 const BLUR_PX: f64 = 0.8;
 

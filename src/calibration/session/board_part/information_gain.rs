@@ -13,8 +13,8 @@ use crate::geometry::pose::Pose;
 /// Before the lens is estimated, a view whose placement differs from all others by at least this
 /// many steps is kept.
 const FIRST_STEPS: f64 = 0.6;
-/// While the board approaches the suggested view, a frame is kept only if it adds at least this
-/// fraction of the information that is expected of that view.
+/// While the board approaches the suggested view, a frame is kept only if it lowers the goal's
+/// criterion by at least this fraction of what that view would.
 const GOOD_PART: f64 = 0.7;
 
 impl BoardPart {
@@ -46,8 +46,8 @@ impl BoardPart {
     }
 
     /// Whether a view adds enough information to be kept: `Ok` with the index of the view it
-    /// replaces, or `None` while there is room. A view whose worth cannot be predicted is kept: the
-    /// solve decides.
+    /// replaces, or `None` while there is room. While there is room, a view whose information
+    /// cannot be predicted is kept: the solve decides.
     pub(super) fn room_for(
         &self,
         frame: &FrameFacts,
@@ -88,13 +88,13 @@ impl BoardPart {
         }
     }
 
-    /// The information that a view must add to be kept: half of `worth` over the number of views.
+    /// The gain that a view must have to be kept: half of `worth` over the number of views.
     pub(super) fn least_gain(&self) -> f64 {
         0.5 * self.options.worth / self.views.len().max(1) as f64
     }
 
     /// While the board is about to arrive at the suggested view: how much another view must lower
-    /// the goal's figure, as a good part of what that view would.
+    /// the goal's criterion, as a good part of what that view would.
     pub(super) fn awaited(&self, frame: &FrameFacts, camera_from_board: &Pose) -> Option<f64> {
         let (information, suggested) =
             (self.information.as_ref()?, self.advice.suggested.as_ref()?);
