@@ -37,7 +37,7 @@ struct OtherBoard {
     seen: Option<String>,
     /// Frames until it is recognized again.
     frames_left: u32,
-    /// Frames from the next recognition to the one after it.
+    /// Frames from the last recognition to the next.
     interval: u32,
 }
 
@@ -63,11 +63,11 @@ impl OtherBoard {
         }
         if self.frames_left == 0 {
             self.seen = recognize(image).map(|seen| seen.to_string());
-            self.frames_left = self.interval;
             self.interval = match self.seen {
                 Some(_) => RECOGNIZED_EVERY,
                 None => RECOGNIZED_AT_LEAST_EVERY.min(2 * self.interval),
             };
+            self.frames_left = self.interval;
         }
         self.frames_left -= 1;
         match self.seen.clone() {

@@ -408,8 +408,7 @@ impl BoardPart {
         self.summary.coverage.add(detection, frame.image_size);
         self.views[at] = View { number, frame: frame.clone(), detection: detection.clone() };
         self.placements[at] = placement;
-        // An estimate continues the previous one only if all views of that are among its own, in
-        // the same order.
+        // An estimate continues the previous one only if it has all views of that, in order.
         (self.continuation, self.exchanged) = (None, self.estimating);
         if let Some(information) = &mut self.information {
             information.remove(number);
