@@ -5,6 +5,7 @@ use nalgebra::DVector;
 
 use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::effects::board_basis::BoardBasis;
+use crate::estimation::effects::capped_squares::CappedSquares;
 use crate::estimation::effects::effect::CandidateEffects;
 use crate::estimation::effects::effects_fit::EffectsFit;
 use crate::estimation::effects::rolling_shutter_test::RollingShutterTest;
@@ -273,13 +274,9 @@ impl SearchStart<'_> {
         let fresh = SearchStart { found: None, ..*self };
         for _ in 0..scene.good.len() / FEW_PART {
             let scene = Scene { good: &good, ..scene };
-            let mean_square = |view: usize| {
-                let used = residuals[view].iter().zip(&chosen.observations[view].used);
-                let squares = used.filter(|(_, used)| **used).map(|([x, y], _)| x * x + y * y);
-                let (sum, count) =
-                    squares.fold((0.0, 0.0), |(sum, n), square| (sum + square, n + 1.0));
-                sum / f64::max(count, 1.0)
-            };
+            let scale = scale_of(&chosen.observations, &residuals).max(ROUNDING);
+            let mean_square =
+                |view: usize| CappedSquares::of([residuals[view].as_slice()], scale * scale).mean();
             let worst = |a: &usize, b: &usize| mean_square(*a).total_cmp(&mean_square(*b));
             let Some(view) = good.iter().copied().max_by(worst) else { break };
             let others: Vec<usize> = good.iter().copied().filter(|other| *other != view).collect();

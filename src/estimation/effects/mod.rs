@@ -15,6 +15,7 @@
 //! | the search for the minimum, and which effects stay | `search` |
 //! | views readmitted under the model with effects | `readmit` |
 //! | a view whose motion is incompatible with the others' | `odd_motion` |
+//! | the residuals of all corners of a view, rejected ones included | `capped_squares` |
 //! | corners selected again under effects, with and without motion | `fit` |
 //! | covariances at the end | `finish` |
 //! | the result | `effects_fit` |
@@ -29,6 +30,7 @@
 pub(crate) mod apply;
 mod averaged;
 pub(crate) mod board_basis;
+mod capped_squares;
 mod dense;
 pub(crate) mod effect;
 pub(crate) mod effects_fit;

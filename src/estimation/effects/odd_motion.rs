@@ -6,6 +6,7 @@ use std::rc::Rc;
 
 use nalgebra::{DMatrix, DVector};
 
+use crate::estimation::effects::capped_squares::CappedSquares;
 use crate::estimation::effects::search::EffectSearch;
 use crate::estimation::effects::state::Scene;
 use crate::estimation::student::normal_deviations_of_ratio;
@@ -17,6 +18,9 @@ const ROUNDING_PART: f64 = 1e-6;
 /// A motion is odd, and residuals are larger than noise, from this many standard deviations on. If
 /// all boards move alike, one view in four thousand exceeds it by chance. Chosen, not swept.
 const ODD: f64 = 3.5;
+
+/// Parameters that are fitted to one view: six of its pose, six of its motion.
+const OF_VIEW: f64 = 12.0;
 
 impl EffectSearch {
     /// The motion of `view` in `scene`, relative to that of the other views. `None` unless it is
@@ -73,18 +77,11 @@ impl EffectSearch {
         let square = motion.dot(&spread.cholesky()?.solve(&motion)) / noise_square;
         let ratio = square / rows.len() as f64;
         let deviations = normal_deviations_of_ratio(ratio, [rows.len() as f64, determined]);
-        (deviations >= ODD && search.misfit(scene, view, noise_square) >= ODD)
-            .then_some(ratio.sqrt())
-    }
-
-    /// By how much a view's residuals exceed the noise, as standard deviations of a normal
-    /// distribution. Six parameters of its pose and six of its motion were fitted.
-    fn misfit(&self, scene: Scene<'_>, view: usize, noise_square: f64) -> f64 {
-        let used = self.system.residuals[view].iter().zip(&scene.observations[view].used);
-        let squares = used.filter(|(_, used)| **used).map(|([x, y], _)| x * x + y * y);
-        let (sum, count) = squares.fold((0.0, 0.0), |(sum, n), square| (sum + square, n + 2.0));
-        let freedom = f64::max(count - 12.0, 1.0);
-        let of_others = self.system.residual_count as f64 - count;
-        normal_deviations_of_ratio(sum / freedom / noise_square, [freedom, of_others])
+        let residuals = |view: usize| search.system.residuals[view].as_slice();
+        let of_others = others.good.iter().map(|other| residuals(*other));
+        let of_others = CappedSquares::of(of_others, noise_square);
+        let misfit = CappedSquares::of([residuals(view)], noise_square);
+        let misfit = misfit.excess_over(&of_others, OF_VIEW);
+        (deviations >= ODD && misfit >= ODD).then_some(ratio.sqrt())
     }
 }
