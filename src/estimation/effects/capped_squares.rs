@@ -89,7 +89,7 @@ mod tests {
         first.excess_over(&others, 0.0)
     }
 
-    /// Simulated apart from this code: means of -0.16 to -0.10, since the rule of succession expects
+    /// A separate simulation gives means of -0.16 to -0.10, since the rule of succession expects
     /// an outlier too many, and root mean squares of 0.96 to 1.07.
     #[test]
     fn the_excess_of_a_view_like_the_others_is_normal() {
