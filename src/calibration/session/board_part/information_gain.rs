@@ -11,10 +11,11 @@ use crate::detection::board_detection::Detection;
 use crate::geometry::pose::Pose;
 
 /// Before the lens is estimated, a view whose placement differs from all others by at least this
-/// many steps is kept.
+/// many steps is kept. Chosen, not swept.
 const FIRST_STEPS: f64 = 0.6;
 /// While the board approaches the suggested view, a frame is kept only if it lowers the goal's
-/// criterion by at least this fraction of what that view would.
+/// criterion by at least this fraction of what that view would. Chosen, not swept; the time for
+/// which it is waited for was swept (docs/guidance.md).
 const GOOD_PART: f64 = 0.7;
 
 impl BoardPart {
