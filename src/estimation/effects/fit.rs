@@ -279,6 +279,10 @@ impl SearchStart<'_> {
                 |view: usize| CappedSquares::of([residuals[view].as_slice()], scale * scale).mean();
             let worst = |a: &usize, b: &usize| mean_square(*a).total_cmp(&mean_square(*b));
             let Some(view) = good.iter().copied().max_by(worst) else { break };
+            let noise_square = comparison.search.noise_square(scene)?;
+            if comparison.search.fits_as_others(&good, view, noise_square) {
+                break;
+            }
             let others: Vec<usize> = good.iter().copied().filter(|other| *other != view).collect();
             let without = Scene { good: &others, ..scene };
             let rest = fresh.converged_or_without_effects(without, candidates);

@@ -19,10 +19,25 @@ const ROUNDING_PART: f64 = 1e-6;
 /// all boards move alike, one view in four thousand exceeds it by chance. Chosen, not swept.
 const ODD: f64 = 3.5;
 
+/// Below this many standard deviations, at the minimum of all views, a view fits as the others do.
+/// One view in forty of those that do exceeds it by chance. Chosen, not swept.
+const FITS: f64 = 2.0;
+
 /// Parameters that are fitted to one view: six of its pose, six of its motion.
 const OF_VIEW: f64 = 12.0;
 
 impl EffectSearch {
+    /// Whether the corners of `view` fit as those of the other views do, at this minimum of all of
+    /// them. Then [`Self::odd_motion`] need not be asked: with the variance that the others alone
+    /// have, its motion would be held closer to theirs, and explain less of its residuals.
+    pub(super) fn fits_as_others(&self, good: &[usize], view: usize, noise_square: f64) -> bool {
+        let residuals = |view: usize| self.system.residuals[view].as_slice();
+        let others = good.iter().filter(|other| **other != view).map(|other| residuals(*other));
+        let of_others = CappedSquares::of(others, noise_square);
+        let misfit = CappedSquares::of([residuals(view)], noise_square);
+        misfit.excess_over(&of_others, OF_VIEW) < FITS
+    }
+
     /// The motion of `view` in `scene`, relative to that of the other views. `None` unless it is
     /// significantly larger than theirs and the corners of the view do not fit even so: the corners
     /// of a board that merely moved fast do fit. `None` also where the other views do not move.

@@ -234,6 +234,13 @@ impl EffectSearch {
         ReducedSystem::of(&self.system, &self.state, scene.basis, scene.layout.len, variances)
     }
 
+    /// The variance of the noise at this state, as a factor on the corners' own variances.
+    pub(super) fn noise_square(&self, scene: Scene<'_>) -> Option<f64> {
+        let basis = Rc::clone(&self.basis);
+        let reduced = self.reduced(self.restricted(scene, &basis), &self.variances)?;
+        Some(reduced.noise_square(&self.state))
+    }
+
     pub(super) fn posterior(&self, scene: Scene<'_>) -> Option<Posterior> {
         Some(self.reduced(scene, &self.variances)?.posterior(&self.state))
     }
