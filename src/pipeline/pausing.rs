@@ -133,7 +133,7 @@ impl SessionThread {
             Err(reason) => {
                 let session = self.session.as_mut();
                 let actions =
-                    session.map_or_else(Vec::new, |session| session.solved(Err(reason), now_ns));
+                    session.map_or_else(Vec::new, |session| session.fail(&reason, now_ns));
                 self.perform(actions);
             }
         }

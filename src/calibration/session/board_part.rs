@@ -16,8 +16,8 @@ use crate::calibration::session::action::CameraFrame;
 use crate::calibration::session::advice::{Advice, Now};
 use crate::calibration::session::approach::Approach;
 use crate::calibration::session::depth_part::{DepthFrame, DepthPart};
-use crate::calibration::session::ending::LEAST_VIEWS;
-use crate::calibration::session::last_rejections::LastRejections;
+use crate::calibration::session::last_rejections::{FrequentRejection, LastRejections};
+use crate::calibration::session::not_enough::LEAST_VIEWS;
 use crate::calibration::session::progress::{FrameTime, Obstacle};
 use crate::calibration::session_record::{Finish, SessionMember, SessionRequest};
 use crate::calibration::view::{FrameFacts, View};
@@ -167,7 +167,7 @@ impl BoardPart {
     }
 
     /// Why most frames became no view, unless the reason is that they added no new information.
-    pub(super) fn why_rejected(&self) -> Option<String> {
+    pub(super) fn why_rejected(&self) -> Option<FrequentRejection> {
         self.last_rejections.why_most(&self.summary.rejected, self.summary.frames_seen)
     }
 

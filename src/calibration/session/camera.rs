@@ -1,6 +1,6 @@
 //! What one camera of an instrument has gathered in a session, of a board or of a scene.
 
-use crate::calibration::admission::{AdmissionOptions, Rejection, SIZE_CHANGED};
+use crate::calibration::admission::{AdmissionOptions, Rejection};
 use crate::calibration::information::next_view::SuggestedView;
 use crate::calibration::placement::Placement;
 use crate::calibration::running_estimate::{Continuation, EstimateSoFar};
@@ -10,7 +10,7 @@ use crate::calibration::scene::so_far::SceneSoFar;
 use crate::calibration::session::action::CameraFrame;
 use crate::calibration::session::board_part::BoardPart;
 use crate::calibration::session::depth_part::DepthFrame;
-use crate::calibration::session::ending::LEAST_VIEWS;
+use crate::calibration::session::not_enough::{LEAST_VIEWS, NotEnough};
 use crate::calibration::session::scene_part::ScenePart;
 use crate::calibration::session_record::{Finish, SessionMember, SessionRequest};
 use crate::calibration::target::CalibrationTarget;
@@ -117,22 +117,16 @@ impl CameraPart {
     }
 
     /// Whether its views can be solved, or what to do.
-    pub(super) fn enough(&self) -> Result<(), String> {
+    pub(super) fn enough(&self) -> Result<(), NotEnough> {
         match self {
             Self::Scene(scene) => scene.enough(),
             Self::Board(_) if self.has_enough() => Ok(()),
             Self::Board(board) => {
-                let why = match board.summary().rejected.most_frequent() {
-                    Some("other_image_size") => SIZE_CHANGED.to_owned(),
-                    _ => {
-                        let why = board.why_rejected().map_or(String::new(), |why| why + "; ");
-                        format!(
-                            "{why}start again and show the board in more positions, tilted in different directions"
-                        )
-                    }
-                };
                 let kept = board.views().len();
-                Err(format!("{kept} views were kept and at least {LEAST_VIEWS} are needed; {why}"))
+                Err(match board.summary().rejected.most_frequent() {
+                    Some("other_image_size") => NotEnough::SizeChanged { kept },
+                    _ => NotEnough::Views { kept, rejected: board.why_rejected() },
+                })
             }
         }
     }

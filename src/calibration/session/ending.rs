@@ -12,17 +12,11 @@ use crate::calibration::guidance::Guidance;
 use crate::calibration::result::{CalibratedSensor, Calibration, ImageCalibration};
 use crate::calibration::sensor::SensorId;
 use crate::calibration::session::action::Action;
+use crate::calibration::session::not_enough::NotEnough;
 use crate::calibration::session_record::{
     Finish, RunningEstimate, SessionMember, SessionRecord, SessionState,
 };
 use crate::imaging::frame::SensorKind;
-
-/// Fewer views leave the lens undetermined (Zhang, "A flexible new technique for camera
-/// calibration", 2000, section 3.3); fewer images of a scene do too.
-pub const LEAST_VIEWS: usize = 3;
-
-/// How the reason begins while a session waits for a camera.
-pub(super) const WAITS: &str = "waits for ";
 
 /// A request that comes too late.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -37,23 +31,14 @@ impl SessionRecord {
     /// already.
     pub(super) fn stop(
         &mut self,
-        enough: Result<(), String>,
+        enough: Result<(), NotEnough>,
         now_ns: i64,
     ) -> Result<Vec<Action>, SessionOver> {
         match self.state {
-            SessionState::Collecting => Ok(self.solve_or_fail(self.as_it_waits(enough), now_ns)),
+            SessionState::Collecting => Ok(self.solve_or_fail(enough, now_ns)),
             SessionState::Solving => Ok(Vec::new()),
             state => Err(SessionOver { state }),
         }
-    }
-
-    /// `enough`; an error also says first which camera the session waits for.
-    pub(super) fn as_it_waits(&self, enough: Result<(), String>) -> Result<(), String> {
-        let waits = self.reason.as_ref().filter(|reason| reason.starts_with(WAITS));
-        enough.map_err(|why| match waits {
-            Some(waits) => format!("it {waits}; {why}"),
-            None => why,
-        })
     }
 
     /// On request: gives the session up.
@@ -74,7 +59,7 @@ impl SessionRecord {
         self.close(SessionState::Aborted, Some(reason.to_owned()), now_ns)
     }
 
-    /// A fault of the program; the views stay.
+    /// A solve without a result, or a fault of the program; the views stay.
     pub(super) fn fail(&mut self, reason: &str, now_ns: i64) -> Vec<Action> {
         match self.state {
             SessionState::Collecting | SessionState::Solving => {
@@ -85,7 +70,7 @@ impl SessionRecord {
     }
 
     /// Ends by itself once `finish` is reached; the time of the end comes from its frames.
-    pub(super) fn solve_or_fail_by_itself(&mut self, enough: Result<(), String>) -> Vec<Action> {
+    pub(super) fn solve_or_fail_by_itself(&mut self, enough: Result<(), NotEnough>) -> Vec<Action> {
         let now_ns = self.started_at_ns.saturating_add((self.collecting_s * 1e9) as i64);
         self.solve_or_fail(enough, now_ns)
     }
@@ -101,31 +86,30 @@ impl SessionRecord {
     pub(super) fn source_ended(
         &mut self,
         reason: &str,
-        enough: Result<(), String>,
+        enough: Result<(), NotEnough>,
         now_ns: i64,
     ) -> Vec<Action> {
         if self.state != SessionState::Collecting {
             return Vec::new();
         }
         if self.request.finish.is_some_and(|finish| finish != Finish::default()) {
-            return self.solve_or_fail(enough.map_err(|why| format!("{reason}; {why}")), now_ns);
+            let ended = |cause| NotEnough::SourceEnded {
+                reason: reason.to_owned(),
+                cause: Box::new(cause),
+            };
+            return self.solve_or_fail(enough.map_err(ended), now_ns);
         }
         self.reason = Some(format!("{reason}; stop the session to solve what it gathered"));
         vec![Action::Announce]
     }
 
-    /// Takes the outcome of the solve: the id of the calibration, or why there is none.
-    pub(super) fn solved(&mut self, outcome: Result<String, String>, now_ns: i64) -> Vec<Action> {
+    /// Takes the id of the calibration that was solved.
+    pub(super) fn solved(&mut self, calibration: &str, now_ns: i64) -> Vec<Action> {
         if self.state != SessionState::Solving {
             return Vec::new();
         }
-        match outcome {
-            Ok(calibration) => {
-                self.calibration = Some(calibration);
-                self.close(SessionState::Finished, None, now_ns)
-            }
-            Err(reason) => self.close(SessionState::Failed, Some(reason), now_ns),
-        }
+        self.calibration = Some(calibration.to_owned());
+        self.close(SessionState::Finished, None, now_ns)
     }
 
     /// Takes the calibration made from its views; the estimates become those of the calibration.
@@ -143,12 +127,12 @@ impl SessionRecord {
                 self.estimate = SessionMember::worst_estimate(&self.members);
             }
         }
-        self.solved(Ok(calibration.id.clone()), calibration.created_at_ns)
+        self.solved(&calibration.id, calibration.created_at_ns)
     }
 
-    fn solve_or_fail(&mut self, enough: Result<(), String>, now_ns: i64) -> Vec<Action> {
-        if let Err(reason) = enough {
-            return self.close(SessionState::Failed, Some(reason), now_ns);
+    fn solve_or_fail(&mut self, enough: Result<(), NotEnough>, now_ns: i64) -> Vec<Action> {
+        if let Err(why) = enough {
+            return self.close(SessionState::Failed, Some(why.to_string()), now_ns);
         }
         self.state = SessionState::Solving;
         self.reason = None;

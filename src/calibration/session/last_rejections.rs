@@ -1,6 +1,7 @@
 //! Why most frames of a camera were rejected, in the words of the last one of them.
 
 use std::collections::BTreeMap;
+use std::fmt;
 
 use crate::calibration::admission::{Rejection, Rejections};
 
@@ -8,6 +9,23 @@ use crate::calibration::admission::{Rejection, Rejections};
 #[derive(Debug, Clone, Default)]
 pub(super) struct LastRejections {
     by_kind: BTreeMap<&'static str, Rejection>,
+}
+
+/// The kind of rejection of most frames.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct FrequentRejection {
+    /// How many frames it rejected.
+    rejected: u64,
+    /// Of how many.
+    frames: u64,
+    /// The last such rejection.
+    last: Box<Rejection>,
+}
+
+impl fmt::Display for FrequentRejection {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} of {} frames: {}", self.rejected, self.frames, self.last)
+    }
 }
 
 impl LastRejections {
@@ -18,13 +36,13 @@ impl LastRejections {
         }
     }
 
-    /// The message of the kind that rejected more than half of `frames`; `None` if there is no such
-    /// kind, if it only means that views were not new, or if none came since the session was
-    /// resumed.
-    pub(super) fn why_most(&self, rejected: &Rejections, frames: u64) -> Option<String> {
+    /// The kind that rejected more than half of `frames`; `None` if there is no such kind, if it
+    /// only means that views were not new, or if none came since the session was resumed.
+    pub(super) fn why_most(&self, rejected: &Rejections, frames: u64) -> Option<FrequentRejection> {
         let kind = rejected.most_frequent().filter(|kind| 2 * rejected.of(kind) > frames)?;
         let last = self.by_kind.get(kind).filter(|last| !last.is_known_already())?;
-        Some(format!("{} of {frames} frames: {last}", rejected.of(kind)))
+        let last = Box::new(last.clone());
+        Some(FrequentRejection { rejected: rejected.of(kind), frames, last })
     }
 }
 
@@ -47,7 +65,7 @@ mod tests {
         assert_eq!(last.why_most(&rejected, 4), None);
         // As after a restart.
         assert_eq!(LastRejections::default().why_most(&rejected, 3), None);
-        let why = last.why_most(&rejected, 3).unwrap();
+        let why = last.why_most(&rejected, 3).unwrap().to_string();
         assert!(
             why.starts_with("2 of 3 frames: no board: a board of 9x6 is seen, not 9x7"),
             "{why}"

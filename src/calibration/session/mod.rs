@@ -18,10 +18,13 @@ mod advice;
 mod approach;
 mod board_part;
 pub mod camera;
+mod camera_wait;
 mod depth_part;
 mod ending;
+mod enough;
 pub mod gate;
 mod last_rejections;
+mod not_enough;
 mod pairs;
 mod progress;
 mod resume;
@@ -41,9 +44,10 @@ pub use crate::calibration::session::action::{
     Action, CameraFrame, FrameContent, KeptView, Observed,
 };
 use crate::calibration::session::camera::CameraPart;
+use crate::calibration::session::camera_wait::CameraWait;
 pub use crate::calibration::session::depth_part::DepthFrame;
-use crate::calibration::session::ending::WAITS;
-pub use crate::calibration::session::ending::{LEAST_VIEWS, SessionOver};
+pub use crate::calibration::session::ending::SessionOver;
+pub use crate::calibration::session::not_enough::LEAST_VIEWS;
 use crate::calibration::session::pairs::Pairs;
 use crate::calibration::session::sharing::{Sharing, next_step};
 use crate::calibration::session::simultaneity::Simultaneity;
@@ -56,6 +60,8 @@ use crate::detection::board_detection::Detection;
 pub struct Session {
     record: SessionRecord,
     cameras: Vec<CameraPart>,
+    /// The camera that it waits for while it collects; the record has the same in words.
+    waiting_for: Option<CameraWait>,
     simultaneity: Simultaneity,
     pairs: Pairs,
     kept: Vec<KeptView>,
@@ -83,6 +89,7 @@ impl Session {
         let mut session = Self {
             simultaneity: Simultaneity::new(cameras_of.len()),
             cameras: cameras_of,
+            waiting_for: None,
             pairs: Pairs::default(),
             other_collecting_s: record.collecting_s,
             record,
@@ -215,7 +222,7 @@ impl Session {
     /// # Errors
     /// [`SessionOver`].
     pub fn stop(&mut self, now_ns: i64) -> Result<Vec<Action>, SessionOver> {
-        let enough = self.enough();
+        let enough = self.enough_or_waiting();
         self.record.stop(enough, now_ns)
     }
 
@@ -227,9 +234,10 @@ impl Session {
         self.record.abort(now_ns)
     }
 
-    /// Takes the answer to [`Action::Solve`]: the id of the calibration, or why there is none.
-    pub fn solved(&mut self, outcome: Result<String, String>, now_ns: i64) -> Vec<Action> {
-        self.record.solved(outcome, now_ns)
+    /// Takes the answer to [`Action::Solve`]: the id of the calibration. [`Session::fail`] takes
+    /// why there is none.
+    pub fn solved(&mut self, calibration: &str, now_ns: i64) -> Vec<Action> {
+        self.record.solved(calibration, now_ns)
     }
 
     /// Takes the calibration that answers [`Action::Solve`]: from now on the estimate is that of
@@ -238,8 +246,8 @@ impl Session {
         self.record.calibrated(calibration)
     }
 
-    /// Ends it for `reason`, a fault of the program; its views stay. `now_ns` is UTC since the Unix
-    /// epoch.
+    /// Ends it for `reason`, a solve without a result or a fault of the program; its views stay.
+    /// `now_ns` is UTC since the Unix epoch.
     pub fn fail(&mut self, reason: &str, now_ns: i64) -> Vec<Action> {
         self.record.fail(reason, now_ns)
     }
@@ -250,21 +258,22 @@ impl Session {
         let is_rig = self.is_rig();
         let Some(part) = self.cameras.get_mut(camera) else { return Vec::new() };
         part.lost();
-        let which = if is_rig {
-            format!("camera `{}`", part.summary().camera)
-        } else {
-            "the camera".to_owned()
+        let wait = CameraWait {
+            camera: is_rig.then(|| part.summary().camera.clone()),
+            reason: reason.to_owned(),
         };
-        let reason = Some(format!("{WAITS}{which}: {reason}"));
-        if self.record.state != SessionState::Collecting || self.record.reason == reason {
+        if self.record.state != SessionState::Collecting || self.waiting_for.as_ref() == Some(&wait)
+        {
             return Vec::new();
         }
-        self.record.reason = reason;
+        self.record.reason = Some(wait.to_string());
+        self.waiting_for = Some(wait);
         vec![Action::Announce]
     }
 
     /// A camera gives frames again.
     pub fn camera_back(&mut self) -> Vec<Action> {
+        self.waiting_for = None;
         if self.record.state == SessionState::Collecting && self.record.reason.take().is_some() {
             return vec![Action::Announce];
         }
@@ -297,6 +306,7 @@ impl Session {
     /// waits to be stopped.
     pub fn source_ended(&mut self, reason: &str, now_ns: i64) -> Vec<Action> {
         let enough = self.enough();
+        self.waiting_for = None;
         self.record.source_ended(reason, enough, now_ns)
     }
 
@@ -392,51 +402,6 @@ impl Session {
             part.request_estimate().then_some(Action::Estimate(camera))
         })
         .collect()
-    }
-
-    /// Whether the views can be solved, or what to do.
-    fn enough(&self) -> Result<(), String> {
-        if let ([only], false) = (self.cameras.as_slice(), self.is_rig()) {
-            return only.enough();
-        }
-        // A lens that is held fixed needs no views of its own: one view determines the camera's
-        // pose.
-        let is_enough = |camera: &&CameraPart| {
-            let is_held = self.record.request.held(&camera.summary().camera).is_some();
-            camera.has_enough() || (is_held && camera.kept() > 0)
-        };
-        if self.cameras.iter().filter(is_enough).count() >= 2 {
-            return Ok(());
-        }
-        let kept: Vec<String> = (self.cameras.iter())
-            .map(|camera| format!("{} {}", camera.summary().camera, camera.kept()))
-            .collect();
-        let too_few = (self.cameras.iter()).filter(|camera| !is_enough(camera));
-        let why = too_few.filter_map(|camera| {
-            Some(format!("{}: {}", camera.summary().camera, camera.board()?.why_rejected()?))
-        });
-        let why = { why }.next().map_or(String::new(), |why| why + "; ");
-        Err(format!(
-            "views kept: {}; two cameras need at least {LEAST_VIEWS} each; {why}start again and show the board where two cameras see all of it",
-            kept.join(", ")
-        ))
-    }
-
-    fn end_if_reached(&mut self) -> Vec<Action> {
-        let Some(finish) = self.record.request.finish else { return Vec::new() };
-        let shared = |member: &SessionMember| member.views_shared as usize >= LEAST_VIEWS;
-        let placed = self.record.members.iter().all(shared);
-        let known_together = |goal_px| self.pairs.reach(&self.cameras, goal_px);
-        let reached = || {
-            self.cameras.iter().all(|camera| camera.reaches(&finish))
-                && finish.uncertainty_px.is_none_or(known_together)
-        };
-        if !(self.record.is_time_up() || (placed && reached())) {
-            return Vec::new();
-        }
-        let enough = self.record.as_it_waits(self.enough());
-        let enough = enough.map_err(|why| format!("the time is up: {why}"));
-        self.record.solve_or_fail_by_itself(enough)
     }
 
     /// Renews the record's summary of each camera and of all of them.

@@ -1,16 +1,16 @@
 //! What a camera has gathered of a scene in a session without a target: its key frames, what to do
 //! next, and how far its lens is known.
 
-use crate::calibration::admission::{AdmissionOptions, Rejection, SIZE_CHANGED};
+use crate::calibration::admission::{AdmissionOptions, Rejection};
 use crate::calibration::coverage::Coverage;
 use crate::calibration::guidance::{Guidance, obstacle};
 use crate::calibration::scene::correspondence::SceneImage;
 use crate::calibration::scene::key_frames::{KeyFrame, MOST_KEY_FRAMES, admit_key_frame};
 use crate::calibration::scene::so_far::SceneSoFar;
 use crate::calibration::session::action::{CameraFrame, FrameContent};
-use crate::calibration::session::ending::LEAST_VIEWS;
+use crate::calibration::session::not_enough::{LEAST_VIEWS, NotEnough};
 use crate::calibration::session::progress::{FrameTime, Obstacle};
-use crate::calibration::session::scene_steps::SceneSteps;
+use crate::calibration::session::scene_steps::{FewKeyFrames, SceneSteps};
 use crate::calibration::session_record::{Finish, SessionMember};
 use crate::calibration::view::FrameFacts;
 use crate::geometry::pixel::ImageSize;
@@ -155,7 +155,7 @@ impl ScenePart {
     }
 
     /// Whether the key frames can be solved, or what to do.
-    pub(super) fn enough(&self) -> Result<(), String> {
+    pub(super) fn enough(&self) -> Result<(), NotEnough> {
         let kept = self.key_frames.len();
         if kept >= LEAST_VIEWS {
             return self.check_connected();
@@ -167,26 +167,23 @@ impl ScenePart {
             Some("too_similar" | "unknown_scene") => {
                 self.steps.why_few(rejected(&"too_similar"), self.unknown())
             }
-            Some("other_image_size") => SIZE_CHANGED.to_owned(),
-            Some(_) => {
-                "the images have too little texture or are blurred; start again in front of something with texture".to_owned()
-            }
-            None => "start again and move the camera around the scene".to_owned(),
+            Some("other_image_size") => FewKeyFrames::SizeChanged,
+            Some(_) => FewKeyFrames::NoTexture,
+            None => FewKeyFrames::FewImages,
         };
-        Err(format!("{kept} key frames were kept and at least {LEAST_VIEWS} are needed: {why}"))
+        Err(NotEnough::KeyFrames { kept, why })
     }
 
     /// Refuses if the key frames are few and most images share nothing with them, as a solve of all
     /// images does: the key frames alone do not show that. With more key frames that share
     /// something, whatever else the camera saw does not matter.
-    fn check_connected(&self) -> Result<(), String> {
+    fn check_connected(&self) -> Result<(), NotEnough> {
         let (unknown, shared) = (self.unknown(), self.summary.boards_seen);
         if unknown <= shared || self.key_frames.len() >= LEAST_KEY_FRAMES_FOR_GOAL as usize {
             return Ok(());
         }
-        let images = unknown + shared;
-        let why = self.steps.why_unknown();
-        Err(format!("{unknown} of {images} images share too little with the key frames: {why}"))
+        let (images, why) = (unknown + shared, self.steps.why_unknown());
+        Err(NotEnough::UnknownImages { unknown, images, why })
     }
 
     /// Whether the key frames reach the goals of `finish`, its time limit aside.

@@ -1,13 +1,63 @@
 //! How a camera moved from image to image in front of a scene: why its key frames are too few.
 
-use crate::calibration::admission::Rejection;
+use crate::calibration::admission::{Rejection, SIZE_CHANGED};
 use crate::calibration::scene::correspondence::SceneImage;
 
 /// Frames of another scene that are remembered, the newest.
-const COUNTED: usize = 100;
+const REMEMBERED_FRAMES: usize = 100;
 /// Images that show nothing of the key frames are not given as the reason if this many times as
 /// many images are too similar to them.
-const FEW: u64 = 4;
+const SIMILAR_PER_UNKNOWN: u64 = 4;
+
+/// Why key frames are too few.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub(super) enum FewKeyFrames {
+    /// Hardly an image that could be one.
+    #[error("start again and move the camera around the scene")]
+    FewImages,
+    /// Most images were rejected for their size.
+    #[error("{SIZE_CHANGED}")]
+    SizeChanged,
+    /// Most images have few features.
+    #[error(
+        "the images have too little texture or are blurred; start again in front of something with texture"
+    )]
+    NoTexture,
+    /// Most images are like a key frame, though the camera moved.
+    #[error(
+        "the camera moved too little; start again and move it around the scene, or sideways by a tenth of its distance and more"
+    )]
+    SmallSteps,
+    /// Most images are like a key frame.
+    #[error("the camera stood still or hardly moved; start again and move it around the scene")]
+    StoodStill,
+    /// Most images share nothing with the key frames.
+    #[error(transparent)]
+    NothingShared(NothingShared),
+    /// Many images are like a key frame, many others share nothing with any.
+    #[error("{similar} images are too much like them, {unknown} show nothing of them; {why}")]
+    SimilarAndUnknown { similar: u64, unknown: u64, why: NothingShared },
+}
+
+/// Why images share nothing with the key frames.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub(super) enum NothingShared {
+    /// Nor do they with their neighbors.
+    #[error(
+        "neighbors share nothing (a median of 0 matches agree): the steps were too large or the texture too little; start again with smaller steps, in front of something with texture"
+    )]
+    UnmatchedNeighbors,
+    /// They do with their neighbors: `matches` is the median number of inlier matches.
+    #[error(
+        "neighbors share a median of {matches} matches: the camera went on to another scene, or around this one by too large steps; start again with smaller steps, and keep one scene in view"
+    )]
+    MatchedNeighbors { matches: usize },
+    /// No image with a neighbor to compare it with.
+    #[error(
+        "the steps were too large for images to share anything; start again with smaller steps"
+    )]
+    Unmeasured,
+}
 
 /// The steps of one camera.
 #[derive(Debug, Clone, Default)]
@@ -31,7 +81,7 @@ impl SceneSteps {
         self.before = Some(image.clone());
         match admission {
             Err(Rejection::UnknownScene { matches }) => {
-                if self.between_neighbors.len() == COUNTED {
+                if self.between_neighbors.len() == REMEMBERED_FRAMES {
                     self.between_neighbors.remove(0);
                 }
                 self.between_neighbors.push(*matches);
@@ -43,38 +93,25 @@ impl SceneSteps {
 
     /// Why there are few key frames, when `similar` images show too little new and `unknown` none
     /// of them.
-    pub(super) fn why_few(&self, similar: u64, unknown: u64) -> String {
+    pub(super) fn why_few(&self, similar: u64, unknown: u64) -> FewKeyFrames {
         // A person who walks past the camera hides the scene in a few images.
-        let unknown = if unknown * FEW < similar { 0 } else { unknown };
+        let unknown = if unknown * SIMILAR_PER_UNKNOWN < similar { 0 } else { unknown };
         match (similar, unknown) {
-            (0, _) => self.why_unknown(),
-            (_, 0) if self.has_moved => {
-                "the camera moved too little; start again and move it around the scene, or sideways by a tenth of its distance and more".to_owned()
-            }
-            (_, 0) => {
-                "the camera stood still or hardly moved; start again and move it around the scene".to_owned()
-            }
-            _ => format!(
-                "{similar} images are too much like them, {unknown} show nothing of them; {}",
-                self.why_unknown()
-            ),
+            (0, _) => FewKeyFrames::NothingShared(self.why_unknown()),
+            (_, 0) if self.has_moved => FewKeyFrames::SmallSteps,
+            (_, 0) => FewKeyFrames::StoodStill,
+            _ => FewKeyFrames::SimilarAndUnknown { similar, unknown, why: self.why_unknown() },
         }
     }
 
     /// Why images share nothing with key frames, and what to do.
-    pub(super) fn why_unknown(&self) -> String {
+    pub(super) fn why_unknown(&self) -> NothingShared {
         let mut counts = self.between_neighbors.clone();
         counts.sort_unstable();
         match counts.get(counts.len() / 2) {
-            Some(0) => {
-                "neighbors share nothing (a median of 0 matches agree): the steps were too large or the texture too little; start again with smaller steps, in front of something with texture".to_owned()
-            }
-            Some(median) => format!(
-                "neighbors share a median of {median} matches: the camera went on to another scene, or around this one by too large steps; start again with smaller steps, and keep one scene in view"
-            ),
-            None => {
-                "the steps were too large for images to share anything; start again with smaller steps".to_owned()
-            }
+            Some(0) => NothingShared::UnmatchedNeighbors,
+            Some(median) => NothingShared::MatchedNeighbors { matches: *median },
+            None => NothingShared::Unmeasured,
         }
     }
 }

@@ -196,7 +196,7 @@ fn goals_end_it() {
         "takes no more frames"
     );
     assert_eq!(session.stop(NOW_NS), Ok(Vec::new()), "it solves already");
-    assert_eq!(session.solved(Ok("c".to_owned()), NOW_NS), [Action::Close]);
+    assert_eq!(session.solved("c", NOW_NS), [Action::Close]);
     let record = session.record();
     assert_eq!((record.state, record.finished_at_ns), (SessionState::Finished, Some(NOW_NS)));
     assert_eq!(session.stop(NOW_NS), Err(SessionOver { state: SessionState::Finished }));
@@ -276,7 +276,7 @@ fn an_aborted_solve_changes_nothing_any_more() {
     feed(&mut session, 0, &placements());
     assert_eq!(session.stop(NOW_NS), Ok(vec![Action::Announce, Action::Solve]));
     assert_eq!(session.abort(NOW_NS), Ok(vec![Action::Close]));
-    assert_eq!(session.solved(Ok("c".to_owned()), NOW_NS), []);
+    assert_eq!(session.solved("c", NOW_NS), []);
     assert_eq!(
         (session.record().state, &session.record().calibration),
         (SessionState::Aborted, &None)
