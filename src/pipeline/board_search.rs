@@ -131,10 +131,10 @@ impl BoardSearch {
         board: &Target,
         mode: SearchMode,
     ) -> Result<TrackedBoard, NoDetection> {
-        guarded(|| self.try_search(frame, board, mode)).unwrap_or_else(|detail| {
+        guarded(|| self.try_search(frame, board, mode)).unwrap_or_else(|fault| {
             // The finder's state after a panic cannot be trusted.
             self.finder = None;
-            Err(unreadable(detail))
+            Err(unreadable(fault.to_string()))
         })
     }
 

@@ -109,7 +109,8 @@ impl Capture {
     pub(super) fn run(mut self) {
         while !self.camera.stop.is_set() {
             let mut source = None;
-            let end = guarded(|| self.open_and_deliver(&mut source)).unwrap_or_else(End::Lost);
+            let end = guarded(|| self.open_and_deliver(&mut source))
+                .unwrap_or_else(|fault| End::Lost(fault.to_string()));
             self.rate.forget();
             match end {
                 End::Stopped => return self.close(source),

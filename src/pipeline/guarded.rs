@@ -3,9 +3,16 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-/// Runs `work`; a panic becomes an error in words. The caller must then discard what `work`
-/// changed.
-pub(super) fn guarded<T>(work: impl FnOnce() -> T) -> Result<T, String> {
+/// A panic that was caught.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("a fault in plumb itself ({message}); please report it")]
+pub(super) struct CaughtPanic {
+    /// The panic's message; empty where it has none.
+    message: String,
+}
+
+/// Runs `work`; a panic becomes an error. The caller must then discard what `work` changed.
+pub(super) fn guarded<T>(work: impl FnOnce() -> T) -> Result<T, CaughtPanic> {
     #[cfg(test)]
     let work = || {
         faults::strike();
@@ -13,8 +20,8 @@ pub(super) fn guarded<T>(work: impl FnOnce() -> T) -> Result<T, String> {
     };
     catch_unwind(AssertUnwindSafe(work)).map_err(|panic| {
         let text = panic.downcast_ref::<&str>().map(|text| (*text).to_owned());
-        let text = text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default();
-        format!("a fault in plumb itself ({text}); please report it")
+        let message = text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default();
+        CaughtPanic { message }
     })
 }
 
@@ -63,6 +70,6 @@ mod tests {
     fn a_panic_is_an_error_in_words() {
         assert_eq!(guarded(|| 7), Ok(7));
         let error = guarded(|| panic!("{} corners", 3)).map(|()| 0).unwrap_err();
-        assert_eq!(error, "a fault in plumb itself (3 corners); please report it");
+        assert_eq!(error.to_string(), "a fault in plumb itself (3 corners); please report it");
     }
 }

@@ -7,7 +7,7 @@ use crate::calibration::session::CameraFrame;
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
 use crate::pipeline::seen::SeenFrame;
 use crate::pipeline::session_request::{EndError, StartError};
-use crate::pipeline::solve_job::Estimate;
+use crate::pipeline::solve_job::{Estimate, SolveFailure};
 
 /// What the cameras of an instrument gave at about the same time, in the instrument's order.
 #[derive(Debug)]
@@ -40,7 +40,7 @@ pub(super) enum Message {
     /// A running estimate of a camera's lens, if it could be made.
     Estimated { session: String, place: usize, estimate: Estimate },
     /// A session's solve.
-    Solved { session: String, solved: Result<Box<Calibration>, String> },
+    Solved { session: String, solved: Result<Box<Calibration>, SolveFailure> },
     /// Start a session.
     Start(SessionRequest, StartReply),
     /// Solve what has been collected; answered once solving has begun.

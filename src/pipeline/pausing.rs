@@ -20,6 +20,7 @@ use crate::pipeline::message::{Message, SeenFrameSet};
 use crate::pipeline::scene_search::key_frame_image;
 use crate::pipeline::seen::{SensorObservation, searched_frame};
 use crate::pipeline::session_thread::SessionThread;
+use crate::pipeline::solve_job::SolveFailure;
 use crate::pipeline::unstored::{Unstored, UnstoredWork};
 use crate::store::{Picture, SensorView, StoreError};
 
@@ -112,7 +113,7 @@ impl SessionThread {
     }
 
     /// Names and stores the calibration, ends the session with it, and announces both.
-    pub(super) fn finish(&mut self, solved: Result<Box<Calibration>, String>) {
+    pub(super) fn finish(&mut self, solved: Result<Box<Calibration>, SolveFailure>) {
         let Some(record) = self.session.as_ref().map(Session::record) else { return };
         if record.state != SessionState::Solving || self.unstored.is_some() {
             return;
@@ -130,7 +131,8 @@ impl SessionThread {
                     calibration,
                 ))));
             }
-            Err(reason) => {
+            Err(failure) => {
+                let reason = failure.to_string();
                 let session = self.session.as_mut();
                 let actions =
                     session.map_or_else(Vec::new, |session| session.fail(&reason, now_ns));

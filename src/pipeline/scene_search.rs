@@ -56,7 +56,7 @@ fn scene_image(name: String, frame: &Frame) -> Result<SceneImage, NoDetection> {
         decode::luma(frame, &mut luma).map_err(|error| unreadable(error.to_string()))?;
         Ok(SceneImage::with_options(name, luma.view(), &LIVE_FEATURES))
     };
-    guarded(search).unwrap_or_else(|detail| Err(unreadable(detail)))
+    guarded(search).unwrap_or_else(|fault| Err(unreadable(fault.to_string())))
 }
 
 fn unreadable(detail: String) -> NoDetection {

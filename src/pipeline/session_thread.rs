@@ -79,7 +79,7 @@ impl SessionThread {
                 break;
             }
             if let Err(fault) = guarded(|| self.take(message)) {
-                self.give_up(&fault);
+                self.give_up(&fault.to_string());
             }
         }
         // Releases the threads that wait for room in the queue.

@@ -4,17 +4,19 @@ use crate::calibration::result::Calibration;
 use crate::calibration::running_estimate::{Continuation, EstimateSoFar, estimate_so_far};
 use crate::calibration::scene::correspondence::SceneImage;
 use crate::calibration::scene::so_far::{SceneSoFar, scene_so_far};
-use crate::calibration::scene::{SceneDepth, SceneOptions, calibrate_scene};
+use crate::calibration::scene::{SceneDepth, SceneOptions, SceneRefusal, calibrate_scene};
 use crate::calibration::session::camera::CameraPart;
 use crate::calibration::session::{Action, Session};
 use crate::calibration::target::CalibrationTarget;
-use crate::calibration::{self, InstrumentObservations, SolveOptions, UnsolvedDepth};
+use crate::calibration::{
+    self, InstrumentError, InstrumentObservations, SolveOptions, UnsolvedDepth,
+};
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::interrupt::Interrupt;
 use crate::estimation::problem::{CameraProblem, LensChoice};
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::target::Target;
-use crate::pipeline::guarded::guarded;
+use crate::pipeline::guarded::{CaughtPanic, guarded};
 
 /// A running estimate of one camera.
 #[derive(Debug)]
@@ -138,23 +140,43 @@ pub(super) enum SolveInput {
     Scene(Vec<SceneImage>, Option<Box<SceneDepth>>),
 }
 
+/// Why a session has no result.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub(super) enum SolveFailure {
+    /// The views of a board do not determine it.
+    #[error(transparent)]
+    Board(#[from] InstrumentError),
+    /// The images of a scene do not determine it.
+    #[error(transparent)]
+    Scene(#[from] SceneRefusal),
+    /// The solve panicked.
+    #[error(transparent)]
+    Panic(#[from] CaughtPanic),
+}
+
 impl SolveJob {
     /// The calibration, without the names that it gets when it is stored. If another sensor cannot
     /// be calibrated, the color sensor still is: the verdict gives the reason why the other is
     /// missing.
-    pub(super) fn solve(&self) -> Result<Box<Calibration>, String> {
-        let options = SolveOptions {
-            camera: CameraOptions {
-                lens: self.lens,
-                interrupt: self.interrupt.clone(),
-                ..CameraOptions::default()
-            },
-            unsolved_depth: UnsolvedDepth::LeftOut,
-            ..SolveOptions::default()
-        };
-        let calibration = guarded(|| match &self.observations {
+    pub(super) fn solve(&self) -> Result<Box<Calibration>, SolveFailure> {
+        let calibration = guarded(|| self.calibration())??;
+        let session = Some(self.session.clone());
+        Ok(Box::new(Calibration { session, ..calibration }))
+    }
+
+    fn calibration(&self) -> Result<Calibration, SolveFailure> {
+        match &self.observations {
             SolveInput::Board(observations) => {
-                calibration::solve(observations, &options).map_err(|error| error.to_string())
+                let options = SolveOptions {
+                    camera: CameraOptions {
+                        lens: self.lens,
+                        interrupt: self.interrupt.clone(),
+                        ..CameraOptions::default()
+                    },
+                    unsolved_depth: UnsolvedDepth::LeftOut,
+                    ..SolveOptions::default()
+                };
+                Ok(calibration::solve(observations, &options)?)
             }
             SolveInput::Scene(images, depth) => {
                 let options = SceneOptions {
@@ -162,16 +184,13 @@ impl SolveJob {
                     interrupt: self.interrupt.clone(),
                     ..SceneOptions::default()
                 };
-                let solved =
-                    calibrate_scene(images, &options).map_err(|error| error.to_string())?;
+                let solved = calibrate_scene(images, &options)?;
                 let solved = match depth {
                     Some(depth) => solved.in_meters(depth),
                     None => solved,
                 };
                 Ok(solved.into_calibration())
             }
-        })??;
-        let session = Some(self.session.clone());
-        Ok(Box::new(Calibration { session, ..calibration }))
+        }
     }
 }
