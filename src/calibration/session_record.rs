@@ -212,6 +212,41 @@ impl SessionRequest {
     }
 }
 
+/// Images of a camera that the session cannot continue with: the earlier ones have another origin.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "the {} of camera `{camera}` is {is} now, was {was}: the views of both would mix; what was gathered stays, start a new session",
+    origin.name()
+)]
+pub struct OtherOrigin {
+    /// What has changed.
+    pub origin: ImageOrigin,
+    /// The camera's name.
+    pub camera: String,
+    /// Where its earlier images come from, in words.
+    pub was: String,
+    /// Where its images come from now, in words.
+    pub is: String,
+}
+
+/// Where a camera's images come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ImageOrigin {
+    /// The source that is configured.
+    Source,
+    /// The device that gives them.
+    Device,
+}
+
+impl ImageOrigin {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Source => "source",
+            Self::Device => "device",
+        }
+    }
+}
+
 impl SessionRecord {
     /// The record of a session that is about to collect.
     pub fn begin(id: &str, camera: &str, request: SessionRequest, started_at_ns: i64) -> Self {
@@ -246,18 +281,25 @@ impl SessionRecord {
     /// Records the source of a camera's images, if it is not known yet.
     ///
     /// # Errors
-    /// Why it cannot continue with images of `source`, in words: earlier images have another
-    /// source.
-    pub fn take_source(&mut self, camera: &str, source: &str) -> Result<(), String> {
-        take("source", &mut self.sources, camera, source, |was, is| was != is)
+    /// [`OtherOrigin`]: earlier images have another source.
+    pub fn take_source(&mut self, camera: &str, source: &str) -> Result<(), OtherOrigin> {
+        let known = known_or(&mut self.sources, camera, source);
+        if known == source {
+            return Ok(());
+        }
+        Err(OtherOrigin::of(ImageOrigin::Source, camera, known, source))
     }
 
     /// Records the device of a camera, if it is not known yet.
     ///
     /// # Errors
     /// As [`Self::take_source`].
-    pub(super) fn take_device(&mut self, camera: &str, device: &str) -> Result<(), String> {
-        take("device", &mut self.devices, camera, device, is_another_device)
+    pub(super) fn take_device(&mut self, camera: &str, device: &str) -> Result<(), OtherOrigin> {
+        let known = known_or(&mut self.devices, camera, device);
+        if !is_another_device(known, device) {
+            return Ok(());
+        }
+        Err(OtherOrigin::of(ImageOrigin::Device, camera, known, device))
     }
 
     /// The record as the contribution of its only camera.
@@ -288,22 +330,15 @@ impl SessionRecord {
     }
 }
 
-/// Records where a camera's images come `from`, if it is not known yet; an error if that has
-/// changed.
-fn take(
-    what: &str,
-    known: &mut BTreeMap<String, String>,
-    camera: &str,
-    from: &str,
-    is_other: impl Fn(&str, &str) -> bool,
-) -> Result<(), String> {
-    let known = known.entry(camera.to_owned()).or_insert_with(|| from.to_owned());
-    if !is_other(known, from) {
-        return Ok(());
+impl OtherOrigin {
+    fn of(origin: ImageOrigin, camera: &str, was: &str, is: &str) -> Self {
+        Self { origin, camera: camera.to_owned(), was: was.to_owned(), is: is.to_owned() }
     }
-    Err(format!(
-        "the {what} of camera `{camera}` is {from} now, was {known}: the views of both would mix; what was gathered stays, start a new session"
-    ))
+}
+
+/// Where a camera's images come from as it is known: `from` if it is not known yet.
+fn known_or<'a>(known: &'a mut BTreeMap<String, String>, camera: &str, from: &str) -> &'a str {
+    known.entry(camera.to_owned()).or_insert_with(|| from.to_owned())
 }
 
 /// Whether two devices, each in words (its model, then its serial number if known), are different.

@@ -8,7 +8,9 @@ use crate::calibration::guidance::Guidance;
 use crate::calibration::scene::correspondence::SceneImage;
 use crate::calibration::session::gate::KeptViews;
 use crate::calibration::session::{Action, DepthFrame, KeptView, Session, SessionOver};
-use crate::calibration::session_record::{SessionRecord, SessionRequest, SessionState};
+use crate::calibration::session_record::{
+    OtherOrigin, SessionRecord, SessionRequest, SessionState,
+};
 use crate::calibration::view::{FrameFacts, View};
 use crate::imaging::depth_encoding::DepthEncoding;
 use crate::imaging::depth_image::DepthImage;
@@ -20,7 +22,7 @@ use crate::pipeline::auxiliary::AuxiliaryViews;
 use crate::pipeline::clock::utc_now_ns;
 use crate::pipeline::live_camera::LiveCamera;
 use crate::pipeline::scene_search::stored_scene;
-use crate::pipeline::search::CameraSearch;
+use crate::pipeline::search::{CameraSearch, CameraTaken};
 use crate::pipeline::session_request::{EndError, StartError};
 use crate::pipeline::session_thread::SessionThread;
 use crate::pipeline::unstored::Unstored;
@@ -30,8 +32,8 @@ impl SessionThread {
     /// Resumes a session that an earlier run of the daemon left unfinished.
     pub(super) fn resume(&mut self, mut record: SessionRecord) {
         let name = self.instrument.name.clone();
-        if let Err(reason) = self.take_sources(&mut record) {
-            let (session, actions) = Session::give_up(record, &reason, utc_now_ns());
+        if let Err(other) = self.take_sources(&mut record) {
+            let (session, actions) = Session::give_up(record, &other.to_string(), utc_now_ns());
             self.session = Some(session);
             self.perform(actions);
             return;
@@ -59,7 +61,7 @@ impl SessionThread {
     }
 
     /// Records the sources of the cameras' images.
-    fn take_sources(&self, record: &mut SessionRecord) -> Result<(), String> {
+    fn take_sources(&self, record: &mut SessionRecord) -> Result<(), OtherOrigin> {
         let mut cameras = self.instrument.cameras.iter();
         cameras.try_for_each(|camera| record.take_source(&camera.name, &camera.image_source))
     }
@@ -196,7 +198,7 @@ impl SessionThread {
     fn acquire(&self, session: &str) -> Result<(), StartError> {
         let cameras = &self.instrument.cameras;
         for (place, camera) in cameras.iter().enumerate() {
-            if let Err(owner) = camera.search.acquire(session) {
+            if let Err(CameraTaken { owner }) = camera.search.acquire(session) {
                 cameras[..place].iter().for_each(|camera| give_back(camera, session));
                 return Err(StartError::Busy { camera: camera.name.clone(), session: owner });
             }

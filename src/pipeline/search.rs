@@ -20,6 +20,14 @@ impl PartialEq for CameraSearch {
     }
 }
 
+/// Another session has the camera.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("session {owner} has the camera")]
+pub(super) struct CameraTaken {
+    /// The id of that session.
+    pub(super) owner: String,
+}
+
 /// The present search of a camera, read with every frame.
 #[derive(Debug, Default)]
 pub(super) struct CurrentSearch {
@@ -37,11 +45,11 @@ impl CurrentSearch {
     /// Gives the camera to a session.
     ///
     /// # Errors
-    /// The session that has it.
-    pub(super) fn acquire(&self, session: &str) -> Result<(), String> {
+    /// [`CameraTaken`].
+    pub(super) fn acquire(&self, session: &str) -> Result<(), CameraTaken> {
         let mut state = self.lock();
         match &state.owner {
-            Some(owner) => Err(owner.clone()),
+            Some(owner) => Err(CameraTaken { owner: owner.clone() }),
             None => {
                 state.owner = Some(session.to_owned());
                 Ok(())

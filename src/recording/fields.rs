@@ -19,7 +19,7 @@ pub(super) struct Fields<'a> {
 /// The bytes ended before the fields did.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("a length inside it goes beyond its end")]
-pub(super) struct TooShort;
+pub struct TooShort;
 
 impl<'a> Fields<'a> {
     /// Fields without padding between them, least significant byte first.

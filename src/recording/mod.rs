@@ -23,7 +23,7 @@ mod unpack;
 
 use std::path::Path;
 
-pub use bag::{BagReader, CameraMessages};
+pub use bag::{BagReader, CameraMessageError, CameraMessages, RosImageError};
 pub use error::RecordingError;
 pub use folder::Folder;
 pub use mcap_reader::{McapReader, metadata};

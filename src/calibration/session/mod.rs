@@ -288,7 +288,7 @@ impl Session {
         }
         match self.record.take_device(camera, device) {
             Ok(()) => Vec::new(),
-            Err(reason) => self.record.give_up(&reason, now_ns),
+            Err(other) => self.record.give_up(&other.to_string(), now_ns),
         }
     }
 

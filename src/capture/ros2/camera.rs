@@ -53,8 +53,10 @@ impl Ros2Camera {
             .collect::<Result<_, _>>()?;
         let typed: Vec<(&str, &str)> =
             images.iter().map(|image| (image.name.as_str(), image.type_name.as_str())).collect();
-        let messages = CameraMessages::of_topics(&typed)
-            .map_err(|reason| CaptureError::Lost { device: self.options.topic.clone(), reason })?;
+        let messages = CameraMessages::of_topics(&typed).map_err(|error| CaptureError::Lost {
+            device: self.options.topic.clone(),
+            reason: error.to_string(),
+        })?;
         let subscribe = |offered: &PublishedTopic, depth| {
             participant.subscribe(offered, depth).map_err(|error| failed(&error))
         };

@@ -146,7 +146,7 @@ impl Ros2Source {
             })?;
         match self.messages.take_image(index, &sample.bytes, now().utc_ns) {
             Ok(()) => {}
-            Err(reason) if !self.has_given => return Err(self.lost(reason)),
+            Err(error) if !self.has_given => return Err(self.lost(error.to_string())),
             Err(_) => self.losses.damaged += 1,
         }
         Ok(())

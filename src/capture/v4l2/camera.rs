@@ -62,9 +62,9 @@ impl V4l2Camera {
             ModeError::Device(error) => lost(&error),
         })?;
         let mut controls = Controls::read(&device);
-        if let Err(problem) = controls.set(&device, &self.options.controls) {
+        if let Err(error) = controls.set(&device, &self.options.controls) {
             controls.restore(&device);
-            return Err(failed(&problem));
+            return Err(failed(&error.to_string()));
         }
         let identity = self.identity.insert(DeviceIdentity::of(&node)).words();
         let (lock, next_sequence) = (self.options.lock, Arc::clone(&self.next_sequence));

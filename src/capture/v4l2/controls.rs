@@ -52,6 +52,23 @@ const AUTOMATICS: [(u32, i32, Option<u32>); 5] = [
 /// What focus and exposure are held by: a change of one of them is a change of the camera.
 const OPTICS: [u32; 3] = [FOCUS_ABSOLUTE, ZOOM_ABSOLUTE, EXPOSURE_ABSOLUTE];
 
+/// Why a control cannot be set.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum ControlError {
+    /// The device has no control of this name.
+    #[error("no control {name}; it has {}", known.join(", "))]
+    Unknown { name: String, known: Vec<String> },
+    /// The device has no control that can be set.
+    #[error("no control {name}: it has none; remove `controls`")]
+    NoControls { name: String },
+    /// The value is out of the control's range.
+    #[error("control {name} takes {minimum} to {maximum}")]
+    OutOfRange { name: String, minimum: i64, maximum: i64 },
+    /// The device refused the value.
+    #[error("control {name} cannot be set to {value}: {refusal}")]
+    Refused { name: String, value: i32, refusal: std::io::Error },
+}
+
 /// The controls of an open device, and what they were before.
 #[derive(Debug)]
 pub(super) struct Controls {
@@ -78,16 +95,22 @@ impl Controls {
     /// Sets what `wanted` says: what switches automatics first, for it frees the values.
     ///
     /// # Errors
-    /// One line that names the control: unknown, out of its range, or refused.
-    pub fn set(&mut self, device: &Device, wanted: &BTreeMap<String, i64>) -> Result<(), String> {
+    /// [`ControlError`].
+    pub fn set(
+        &mut self,
+        device: &Device,
+        wanted: &BTreeMap<String, i64>,
+    ) -> Result<(), ControlError> {
         let mut orders = Vec::new();
         for (name, value) in wanted {
             let range = self.named(name).ok_or_else(|| self.unknown(name))?;
             let allowed = range.minimum..=range.maximum;
             let value =
                 i32::try_from(*value).ok().filter(|value| allowed.contains(&i64::from(*value)));
-            let value = value.ok_or_else(|| {
-                format!("control {name} takes {} to {}", range.minimum, range.maximum)
+            let value = value.ok_or_else(|| ControlError::OutOfRange {
+                name: name.clone(),
+                minimum: range.minimum,
+                maximum: range.maximum,
             })?;
             orders.push((range.kind == ControlKind::Integer, range.id, value, name));
         }
@@ -95,7 +118,7 @@ impl Controls {
         for (_, id, value, name) in orders {
             let old = kernel::control_value(device, id);
             kernel::set_control_value(device, id, value)
-                .map_err(|error| format!("control {name} cannot be set to {value}: {error}"))?;
+                .map_err(|refusal| ControlError::Refused { name: name.clone(), value, refusal })?;
             self.before.extend(old.ok().map(|old| (id, old)));
         }
         Ok(())
@@ -165,12 +188,13 @@ impl Controls {
         self.ranges.iter().filter(|range| range.is_writable()).find(named)
     }
 
-    fn unknown(&self, name: &str) -> String {
-        let names: Vec<String> =
+    fn unknown(&self, name: &str) -> ControlError {
+        let known: Vec<String> =
             self.ranges.iter().filter(|r| r.is_writable()).map(|r| self.name_of(r.id)).collect();
-        match names.is_empty() {
-            true => format!("no control {name}: it has none; remove `controls`"),
-            false => format!("no control {name}; it has {}", names.join(", ")),
+        let name = name.to_owned();
+        match known.is_empty() {
+            true => ControlError::NoControls { name },
+            false => ControlError::Unknown { name, known },
         }
     }
 

@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 use crate::imaging::factory::FactoryCalibration;
 use crate::imaging::frame::{Frame, FrameSet, PixelFormat, SensorKind};
 use crate::recording::bag::camera_info::CameraInfo;
+use crate::recording::bag::image_error::RosImageError;
 use crate::recording::bag::images;
 use crate::recording::bag::stamped_sets::StampedSets;
 use crate::recording::bag::stated::stated;
@@ -23,25 +24,50 @@ pub struct CameraMessages {
     tree: FrameTree,
 }
 
+/// Why topics or a message have no images of a camera.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum CameraMessageError {
+    /// A type that has no images.
+    #[error(
+        "{topic} has the type {type_name}; images are sensor_msgs/msg/Image or CompressedImage"
+    )]
+    NoImages {
+        /// The topic.
+        topic: String,
+        /// The type of its messages.
+        type_name: String,
+    },
+    /// A message that is no image, or has less data than it says.
+    #[error("{topic} has {fault}")]
+    Image {
+        /// The topic.
+        topic: String,
+        /// What is wrong with it.
+        fault: RosImageError,
+    },
+}
+
 impl CameraMessages {
     /// Of the image topics `topics`, each its name and its type (`sensor_msgs/msg/Image`); the
     /// first has the camera's images, and a second one their depth.
     ///
     /// # Errors
-    /// In a few words, for a type that has no images.
-    pub fn of_topics(topics: &[(&str, &str)]) -> Result<Self, String> {
+    /// [`CameraMessageError::NoImages`].
+    pub fn of_topics(topics: &[(&str, &str)]) -> Result<Self, CameraMessageError> {
         let topic = |(index, (name, type_name)): (usize, &(&str, &str))| {
             let message_type = one_type_name(type_name);
             let topic =
                 BagTopic { name: (*name).to_owned(), message_type, layout: MessageEncoding::Cdr };
-            let transport = transport(&topic).ok_or_else(|| {
-                format!("{name} has the type {type_name}; images are sensor_msgs/msg/Image or CompressedImage")
+            let transport = transport(&topic).ok_or_else(|| CameraMessageError::NoImages {
+                topic: topic.name.clone(),
+                type_name: (*type_name).to_owned(),
             })?;
             let by_name = if index > 0 { Some(SensorKind::Depth) } else { sensor_and_info(name).0 };
             let sensor = by_name.unwrap_or(SensorKind::Color);
             Ok((topic, ImageTopic { sensor, named: by_name.is_some(), transport }))
         };
-        let topics: Vec<_> = topics.iter().enumerate().map(topic).collect::<Result<_, String>>()?;
+        let topics: Vec<_> =
+            topics.iter().enumerate().map(topic).collect::<Result<_, CameraMessageError>>()?;
         Ok(Self {
             sets: StampedSets::new(topics.len()),
             topics,
@@ -60,17 +86,17 @@ impl CameraMessages {
     /// arrived.
     ///
     /// # Errors
-    /// In one line, for what is no image or has less data than it says.
+    /// [`CameraMessageError::Image`].
     pub fn take_image(
         &mut self,
         index: usize,
         message: &[u8],
         arrived_utc_ns: i64,
-    ) -> Result<(), String> {
+    ) -> Result<(), CameraMessageError> {
         let Some((topic, image)) = self.topics.get(index) else { return Ok(()) };
         let (header, frame) = images::read(topic, *image, message)
             .and_then(|(header, frame)| whole(frame).map(|frame| (header, frame)))
-            .map_err(|reason| format!("{} has {reason}", topic.name))?;
+            .map_err(|fault| CameraMessageError::Image { topic: topic.name.clone(), fault })?;
         let stamp_ns = if header.stamp_ns == 0 { arrived_utc_ns } else { header.stamp_ns };
         self.frame_ids.entry(frame.sensor).or_insert(header.frame_id);
         self.sets.push(stamp_ns, frame);
@@ -109,7 +135,7 @@ impl CameraMessages {
 }
 
 /// The frame, if it has as many bytes as its rows need.
-fn whole(frame: Frame) -> Result<Frame, String> {
+fn whole(frame: Frame) -> Result<Frame, RosImageError> {
     if matches!(frame.format, PixelFormat::Jpeg | PixelFormat::Png) {
         return Ok(frame);
     }
@@ -117,12 +143,11 @@ fn whole(frame: Frame) -> Result<Frame, String> {
     if needed.is_some_and(|needed| needed <= frame.bytes.len()) {
         return Ok(frame);
     }
-    Err(format!(
-        "{} images with rows every {} bytes and {} bytes of data",
-        frame.size,
-        frame.stride,
-        frame.bytes.len()
-    ))
+    Err(RosImageError::CutFrame {
+        size: frame.size,
+        stride_bytes: frame.stride,
+        data_bytes: frame.bytes.len(),
+    })
 }
 
 #[cfg(test)]
@@ -174,16 +199,18 @@ mod tests {
     fn what_cannot_be_an_image_is_one_line() {
         let topic = [("/front/image_raw", "sensor_msgs/msg/Image")];
         let mut camera = CameraMessages::of_topics(&topic).unwrap();
-        let line = camera.take_image(0, &image(1, [4, 4], "mono8", &[0; 5]), 0).unwrap_err();
+        let refused = camera.take_image(0, &image(1, [4, 4], "mono8", &[0; 5]), 0);
+        let line = refused.unwrap_err().to_string();
         let expected =
             "/front/image_raw has 4x4 images with rows every 4 bytes and 5 bytes of data";
         assert_eq!(line.replace('×', "x"), expected);
-        let line = camera.take_image(0, &image(1, [1, 1], "h264", &[0]), 0).unwrap_err();
+        let refused = camera.take_image(0, &image(1, [1, 1], "h264", &[0]), 0);
+        let line = refused.unwrap_err().to_string();
         assert!(line.starts_with("/front/image_raw has images encoded as \"h264\""), "{line}");
-        let line = camera.take_image(0, b"\0\x01\0\0abc", 0).unwrap_err();
+        let line = camera.take_image(0, b"\0\x01\0\0abc", 0).unwrap_err().to_string();
         assert!(line.contains("cannot be read"), "{line}");
         let other = [("/front/image_raw", "std_msgs/msg/String")];
-        let line = CameraMessages::of_topics(&other).unwrap_err();
+        let line = CameraMessages::of_topics(&other).unwrap_err().to_string();
         assert!(line.starts_with("/front/image_raw has the type std_msgs/msg/String"), "{line}");
         assert_eq!(CameraMessages::info_topic("/a/image_raw/compressed"), "/a/camera_info");
         assert_eq!(CameraMessages::info_topic("/image_raw"), "/camera_info");

@@ -6,23 +6,21 @@ use crate::imaging::decode::file_size;
 use crate::imaging::deep_gray::{bits_to_drop, upper_8_bits};
 use crate::imaging::depth_image::DepthImage;
 use crate::imaging::frame::{Frame, PixelFormat, SensorKind};
+use crate::recording::bag::image_error::RosImageError;
 use crate::recording::bag::storage::{BagTopic, RosHeader};
 use crate::recording::bag::topics::{ImageTopic, Transport};
 use crate::recording::fields::{Fields, TooShort};
 
-/// Encodings that are read, for messages.
-const KNOWN: &str = "mono8, mono16, bgr8, rgb8, bgra8, rgba8, yuv422, yuv422_yuy2, nv12, bayer_*, 8UC1, 8UC3, 16UC1 or 32FC1";
 /// What image_transport puts before a compressed depth image: a format and two floats.
-const DEPTH_HEADER: usize = 12;
+const DEPTH_HEADER_BYTES: usize = 12;
 
-/// The frame that a message holds; why not, in a few words.
+/// The frame that a message holds.
 pub(super) fn read(
     topic: &BagTopic,
     image: ImageTopic,
     message: &[u8],
-) -> Result<(RosHeader, Frame), String> {
-    let short =
-        |error: TooShort| format!("a {} message cannot be read: {error}", topic.message_type);
+) -> Result<(RosHeader, Frame), RosImageError> {
+    let short = |fault| RosImageError::Message { message_type: topic.message_type.clone(), fault };
     let mut fields = topic.layout.fields(message).map_err(short)?;
     let header = RosHeader::read(topic.layout, &mut fields).map_err(short)?;
     let frame = match image.transport {
@@ -60,7 +58,7 @@ impl<'a> RawImage<'a> {
         })
     }
 
-    fn frame(&self, image: ImageTopic) -> Result<Frame, String> {
+    fn frame(&self, image: ImageTopic) -> Result<Frame, RosImageError> {
         let depth = image.sensor == SensorKind::Depth || !image.named;
         let as_it_is = |format| Ok(self.with(image.sensor, format, self.step, self.data.into()));
         match self.encoding.as_str() {
@@ -84,7 +82,7 @@ impl<'a> RawImage<'a> {
                 Some((pattern, bytes_per_pixel)) => {
                     self.bayer(image.sensor, pattern, bytes_per_pixel)
                 }
-                None => Err(format!("images encoded as {other:?}, not {KNOWN}")),
+                None => Err(RosImageError::UnknownEncoding { encoding: other.to_owned() }),
             },
         }
     }
@@ -100,9 +98,13 @@ impl<'a> RawImage<'a> {
     }
 
     /// The rows, each of width × `bytes_per_pixel` bytes.
-    fn rows(&self, bytes_per_pixel: usize) -> Result<impl Iterator<Item = &'a [u8]>, String> {
+    fn rows(
+        &self,
+        bytes_per_pixel: usize,
+    ) -> Result<impl Iterator<Item = &'a [u8]>, RosImageError> {
         if self.size.width == 0 || self.size.height == 0 {
-            return Err(format!("a {} image of {} has no pixels", self.encoding, self.size));
+            let encoding = self.encoding.clone();
+            return Err(RosImageError::NoPixels { encoding, size: self.size });
         }
         let row = self.size.width as usize * bytes_per_pixel;
         let height = self.size.height as usize;
@@ -110,19 +112,22 @@ impl<'a> RawImage<'a> {
             .checked_sub(1)
             .map_or(Some(0), |rows| self.step.checked_mul(rows)?.checked_add(row));
         if self.step < row || needed.is_none_or(|needed| needed > self.data.len()) {
-            return Err(format!(
-                "a {} {} image with rows every {} bytes has {} bytes of data",
-                self.size,
-                self.encoding,
-                self.step,
-                self.data.len()
-            ));
+            return Err(RosImageError::TooFewBytes {
+                size: self.size,
+                encoding: self.encoding.clone(),
+                step_bytes: self.step,
+                data_bytes: self.data.len(),
+            });
         }
         let (data, step) = (self.data, self.step);
         Ok((0..height).map(move |y| &data[y * step..y * step + row]))
     }
 
-    fn without_alpha(&self, sensor: SensorKind, format: PixelFormat) -> Result<Frame, String> {
+    fn without_alpha(
+        &self,
+        sensor: SensorKind,
+        format: PixelFormat,
+    ) -> Result<Frame, RosImageError> {
         let of_row =
             |row: &'a [u8]| row.chunks_exact(4).flat_map(|pixel| pixel[..3].iter().copied());
         let bytes = self.rows(4)?.flat_map(of_row).collect();
@@ -138,7 +143,7 @@ impl<'a> RawImage<'a> {
     }
 
     /// Depth in meters as 16-bit millimeters; what is no distance is 0, no reading.
-    fn meters(&self) -> Result<Frame, String> {
+    fn meters(&self) -> Result<Frame, RosImageError> {
         let of_pixel = |four: &[u8]| {
             let bytes: [u8; 4] = std::array::from_fn(|k| four[k]);
             let meters =
@@ -154,7 +159,7 @@ impl<'a> RawImage<'a> {
         sensor: SensorKind,
         pattern: BayerPattern,
         bytes_per_pixel: usize,
-    ) -> Result<Frame, String> {
+    ) -> Result<Frame, RosImageError> {
         let mosaic: Vec<u8> = if bytes_per_pixel == 1 {
             self.rows(1)?.flatten().copied().collect()
         } else {
@@ -175,14 +180,14 @@ fn millimeters(meters: f64) -> u16 {
     if millimeters >= 1.0 && millimeters <= f64::from(u16::MAX) { millimeters as u16 } else { 0 }
 }
 
-fn compressed(image: ImageTopic, format: &str, data: &[u8]) -> Result<Frame, String> {
+fn compressed(image: ImageTopic, format: &str, data: &[u8]) -> Result<Frame, RosImageError> {
     let of_depth =
         image.transport == Transport::CompressedDepth || format.contains("compressedDepth");
     if of_depth {
         return compressed_depth(format, data);
     }
     let pixels = PixelFormat::of_file(data)
-        .ok_or_else(|| format!("images compressed as {format:?}, not jpeg or png"))?;
+        .ok_or_else(|| RosImageError::UnknownCompression { format: format.to_owned() })?;
     let size = file_size(data).unwrap_or(ImageSize::new(0, 0));
     let is_deep = pixels == PixelFormat::Png && format.starts_with("16UC1") && !image.named;
     let sensor = if is_deep { SensorKind::Depth } else { image.sensor };
@@ -191,9 +196,9 @@ fn compressed(image: ImageTopic, format: &str, data: &[u8]) -> Result<Frame, Str
 
 /// What compressed_depth_image_transport sends: after its header a PNG of millimeters, or for
 /// 32FC1 of inverse depths, meters = a / (value - b) with a and b from the header.
-fn compressed_depth(format: &str, data: &[u8]) -> Result<Frame, String> {
-    let not_png = || format!("depth compressed as {format:?} without a PNG inside");
-    let png = data.get(DEPTH_HEADER..).ok_or_else(not_png)?;
+fn compressed_depth(format: &str, data: &[u8]) -> Result<Frame, RosImageError> {
+    let not_png = || RosImageError::DepthWithoutPng { format: format.to_owned() };
+    let png = data.get(DEPTH_HEADER_BYTES..).ok_or_else(not_png)?;
     if PixelFormat::of_file(png) != Some(PixelFormat::Png) {
         return Err(not_png());
     }
@@ -209,7 +214,7 @@ fn compressed_depth(format: &str, data: &[u8]) -> Result<Frame, String> {
         let coefficient =
             |at: usize| f64::from(f32::from_le_bytes(std::array::from_fn(|k| data[at + k])));
         let (a, b) = (coefficient(4), coefficient(8));
-        let image = DepthImage::from_frame(&frame).map_err(|error| error.to_string())?;
+        let image = DepthImage::from_frame(&frame)?;
         let meters = |value: &u16| if *value == 0 { 0.0 } else { a / (f64::from(*value) - b) };
         let bytes: Vec<u8> = image
             .readings()

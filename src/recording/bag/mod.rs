@@ -7,6 +7,7 @@
 mod camera_info;
 mod camera_messages;
 mod folder;
+mod image_error;
 mod images;
 mod mcap_storage;
 mod ros1_storage;
@@ -17,8 +18,9 @@ mod storage;
 mod topics;
 mod transforms;
 
-pub use camera_messages::CameraMessages;
+pub use camera_messages::{CameraMessageError, CameraMessages};
 pub(super) use folder::{holds_bag, is_bag_file};
+pub use image_error::RosImageError;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -156,10 +158,10 @@ impl BagReader {
     fn take(&mut self, message: &BagMessage) -> Result<(), RecordingError> {
         let Some(Role::Image(image)) = self.roles.get(&message.topic) else { return Ok(()) };
         let topic = &self.topics[message.topic];
-        let unknown = |reason| RecordingError::UnknownImage {
+        let unknown = |error: RosImageError| RecordingError::UnknownImage {
             path: self.path.clone(),
             topic: topic.name.clone(),
-            reason,
+            reason: error.to_string(),
         };
         let (header, frame) = images::read(topic, *image, &message.bytes).map_err(unknown)?;
         let stamp_ns = if header.stamp_ns == 0 { message.log_time_ns } else { header.stamp_ns };
