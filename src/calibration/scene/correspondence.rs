@@ -321,15 +321,19 @@ pub(super) fn in_parallel<T: Sync, R: Send>(
         return items.iter().map(work).collect();
     }
     let share = items.len().div_ceil(threads);
+    let of_part = |part: &[T]| part.iter().map(&work).collect::<Vec<R>>();
     std::thread::scope(|scope| {
-        let work = &work;
-        let parts: Vec<_> = items
-            .chunks(share)
-            .map(|part| scope.spawn(move || part.iter().map(work).collect::<Vec<R>>()))
-            .collect();
-        parts
-            .into_iter()
-            .flat_map(|part| part.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
-            .collect()
+        let of_part = &of_part;
+        let parts = items.chunks(share).enumerate().map(|(index, part)| {
+            let thread = std::thread::Builder::new().name(format!("scene-{index}"));
+            (part, thread.spawn_scoped(scope, move || of_part(part)))
+        });
+        let begun: Vec<_> = parts.collect();
+        let results = begun.into_iter().flat_map(|(part, thread)| match thread {
+            Ok(thread) => thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)),
+            // The system has no thread left: this one does its part.
+            Err(_) => of_part(part),
+        });
+        results.collect()
     })
 }
