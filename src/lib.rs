@@ -22,9 +22,9 @@
 //! | [`document`] | the contract's documents: one schema for CLI, HTTP and store | geometry, imaging, detection, estimation, calibration |
 //! | [`export`] | other programs' formats | geometry, imaging, calibration, document |
 //! | [`store`] | SQLite | locks, geometry, imaging, detection, calibration, document |
-//! | [`pipeline`] | threads, channels, clocks | all of the above |
+//! | [`pipeline`] | threads, channels, clocks | locks, geometry, imaging, detection, estimation, calibration, recording, capture, document, store |
 //! | [`http`] | axum | locks, geometry, imaging, detection, estimation, calibration, document, export, store, pipeline |
-//! | `graph` | results on the graph of ROS 2 | dds, geometry, imaging, recording, calibration, store, pipeline |
+//! | `graph` | results on the graph of ROS 2 | dds, geometry, recording, calibration, store, pipeline |
 //! | `config`, `daemon`, `cli`, `main` | | anything; nothing uses them |
 //!
 //! # As a library
