@@ -9,7 +9,7 @@ pub mod device_list;
 mod error;
 mod frame_counter;
 mod frame_source;
-mod host_clock;
+pub(crate) mod host_clock;
 pub mod mode;
 pub mod realsense;
 mod replay;

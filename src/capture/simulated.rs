@@ -2,8 +2,9 @@
 
 use std::sync::OnceLock;
 use std::thread;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
+use crate::capture::host_clock;
 use crate::capture::{CaptureError, FrameSource, Pace, SourceDescription};
 use crate::geometry::pose::Pose;
 use crate::imaging::frame::FrameSet;
@@ -92,9 +93,7 @@ pub enum SimulatedClock {
 static SHARED_START: OnceLock<(Instant, i64)> = OnceLock::new();
 
 fn now() -> (Instant, i64) {
-    let utc_ns =
-        SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as i64);
-    (Instant::now(), utc_ns)
+    (Instant::now(), host_clock::now().utc_ns)
 }
 
 impl FrameSource for Simulated {

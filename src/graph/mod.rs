@@ -1,5 +1,5 @@
 //! Results on the graph of ROS 2, beside HTTP: what is calibrated, as the robot's own topics say
-//! it. Uses dds, geometry, imaging, recording, calibration, store and pipeline.
+//! it. Uses dds, geometry, recording, calibration, store and pipeline.
 //!
 //! | name | type | what |
 //! | --- | --- | --- |

@@ -13,6 +13,7 @@ use crate::graph::camera::{GraphTopics, KnownCalibration};
 use crate::graph::diagnosis;
 use crate::graph::driver::Driver;
 use crate::graph::results::{Results, SensorInfo};
+use crate::pipeline::clock::utc_now_ns;
 use crate::pipeline::event::{Event, EventKind};
 use crate::pipeline::fleet::Fleet;
 use crate::recording::ros2_results::{FrameTransform, diagnostics, reply, static_transforms};
@@ -398,11 +399,6 @@ fn warn(outcome: Result<(), DdsError>) {
     if let Err(error) = outcome {
         tracing::warn!("{error}");
     }
-}
-
-fn utc_now_ns() -> i64 {
-    let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
-    since.map_or(0, |since| i64::try_from(since.as_nanos()).unwrap_or(i64::MAX))
 }
 
 #[cfg(test)]

@@ -22,14 +22,6 @@ impl FactoryCalibration {
     pub fn sensor(&self, sensor: SensorKind) -> Option<&FactorySensor> {
         self.sensors.iter().find(|stated| stated.sensor == sensor)
     }
-
-    /// `to_from_from`: takes coordinates in the frame of `from` to that of `to`, where both are
-    /// stated against color.
-    pub fn to_from_from(&self, to: SensorKind, from: SensorKind) -> Option<Pose> {
-        let color_from_to = self.sensor(to)?.color_from_sensor?;
-        let color_from_from = self.sensor(from)?.color_from_sensor?;
-        Some(color_from_to.inverse() * color_from_from)
-    }
 }
 
 /// What is stated of one sensor.

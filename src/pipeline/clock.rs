@@ -1,10 +1,8 @@
-//! The host's clock.
+//! The host's clock, as a number.
 
-use std::time::{SystemTime, UNIX_EPOCH};
+use crate::capture::host_clock;
 
 /// Nanoseconds since the Unix epoch, now.
-pub(super) fn utc_now_ns() -> i64 {
-    SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .map_or(0, |since| i64::try_from(since.as_nanos()).unwrap_or(i64::MAX))
+pub(crate) fn utc_now_ns() -> i64 {
+    host_clock::now().utc_ns
 }

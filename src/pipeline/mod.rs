@@ -21,7 +21,7 @@ mod board_search;
 pub mod camera_status;
 mod capture_thread;
 mod captured;
-mod clock;
+pub(crate) mod clock;
 mod closing;
 mod collecting;
 mod current_calibration;
