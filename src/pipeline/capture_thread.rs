@@ -9,6 +9,7 @@
 //! A replay that waits for its frames to be searched starts again with each session, so that every
 //! session gets all of it. While no session collects, it is shown in a loop at its recorded rate.
 
+use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -22,6 +23,7 @@ use crate::pipeline::closing::Closing;
 use crate::pipeline::current_calibration::ImagesNow;
 use crate::pipeline::frame_rate::FrameRate;
 use crate::pipeline::guarded::guarded;
+use crate::pipeline::idle_pace::IdlePace;
 use crate::pipeline::live_camera::LiveCamera;
 use crate::pipeline::message::Message;
 use crate::pipeline::search::CameraSearch;
@@ -67,12 +69,11 @@ impl Default for Supervision {
 }
 
 /// The longest time that a source may keep the thread from checking whether to stop.
-const POLL: Duration = Duration::from_millis(200);
-/// How soon a waiting thread notices that a session began.
-const GLANCE: Duration = Duration::from_millis(20);
-const LONGEST_PACE: Duration = Duration::from_secs(1);
+const FRAME_TIMEOUT: Duration = Duration::from_millis(200);
+/// How often a waiting thread checks whether a session began.
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Reported of a lost camera whose driver does not return from closing it.
-const HELD: &str = "; its driver does not let go of it: unplug it and plug it in again";
+const DRIVER_HOLDS_ON: &str = "; its driver does not let go of it: unplug it and plug it in again";
 
 /// Why a source is no longer read.
 enum End {
@@ -88,24 +89,79 @@ enum End {
     Failed(String),
 }
 
+/// What has become of an opened source.
+struct Delivery {
+    /// Whether the source waits for its frames to be searched.
+    waits: bool,
+    /// The rate that it states, in frames a second.
+    fps: Option<f64>,
+    opened: Instant,
+    /// Whether the device's settings are fixed for a session.
+    is_held: bool,
+    /// When they were last fixed, released or checked.
+    checked: Option<Instant>,
+    pace: IdlePace,
+    has_delivered: bool,
+    /// Why its frames ended early.
+    cut: Option<String>,
+}
+
+impl Delivery {
+    fn begin(description: &SourceDescription) -> Self {
+        Self {
+            waits: description.waits,
+            fps: description.fps,
+            opened: Instant::now(),
+            is_held: false,
+            checked: None,
+            pace: IdlePace::default(),
+            has_delivered: false,
+            cut: None,
+        }
+    }
+}
+
+/// The thread that owns a camera's source.
 pub(super) struct Capture {
-    pub(super) camera: Arc<LiveCamera>,
-    pub(super) open: Box<dyn SourceOpener>,
-    pub(super) supervision: Supervision,
+    camera: Arc<LiveCamera>,
+    open: Box<dyn SourceOpener>,
+    supervision: Supervision,
     /// Whether a silent source counts as lost.
-    pub(super) may_stall: bool,
-    pub(super) silence: Silence,
-    pub(super) rate: FrameRate,
-    pub(super) retry: Duration,
+    may_stall: bool,
+    silence: Silence,
+    rate: FrameRate,
+    /// The wait before a lost source is opened again.
+    retry: Duration,
     /// Whether the size of its images changed since the last comparison.
-    pub(super) resized: bool,
+    resized: bool,
     /// The time of the last comparison for this reason.
-    pub(super) compared: Option<Instant>,
+    compared: Option<Instant>,
     /// A source that its driver has not released.
-    pub(super) held: Option<Closing>,
+    held: Option<Closing>,
 }
 
 impl Capture {
+    /// Of a source that is not opened yet; `may_stall` is whether its silence counts as a loss.
+    pub(super) fn new(
+        camera: Arc<LiveCamera>,
+        open: Box<dyn SourceOpener>,
+        may_stall: bool,
+        supervision: Supervision,
+    ) -> Self {
+        Self {
+            camera,
+            open,
+            supervision,
+            may_stall,
+            silence: Silence::default(),
+            rate: FrameRate::default(),
+            retry: supervision.first_retry,
+            resized: false,
+            compared: None,
+            held: None,
+        }
+    }
+
     pub(super) fn run(mut self) {
         while !self.camera.stop.is_set() {
             let mut source = None;
@@ -177,81 +233,97 @@ impl Capture {
         description: &SourceDescription,
         opened_for: Option<&Arc<CameraSearch>>,
     ) -> End {
-        let opened = Instant::now();
-        let mut held_for: Option<Arc<CameraSearch>> = None;
-        // When the device's settings were last fixed, released or checked.
-        let mut held: Option<Instant> = None;
-        let mut pace = IdlePace::default();
+        let mut delivery = Delivery::begin(description);
         let mut counted = Losses::default();
         self.silence.opened();
-        let mut delivered = false;
-        let mut cut: Option<String> = None;
         loop {
             if self.camera.stop.is_set() {
                 return End::Stopped;
             }
             let search = self.camera.search.get();
-            if held_for.is_some() != search.is_some() {
-                self.hold_still(source, search.is_some());
-                held = Some(Instant::now());
+            if delivery.is_held != search.is_some() {
+                delivery.is_held = search.is_some();
+                self.hold_still(source, delivery.is_held);
+                delivery.checked = Some(Instant::now());
             }
-            held_for.clone_from(&search);
             if description.waits && search.is_some() && search.as_ref() != opened_for {
                 return End::Again;
             }
             source.suggested(self.camera.suggested_pose().as_ref());
-            let next = source.next_frame(POLL);
+            let next = source.next_frame(FRAME_TIMEOUT);
             self.count_losses(source.losses(), &mut counted);
-            match next {
-                Ok(frame_set) => {
-                    self.silence.ended();
-                    delivered = true;
-                    if opened.elapsed() > self.supervision.longest_retry {
-                        self.retry = self.supervision.first_retry;
-                    }
-                    if search.is_none()
-                        && held.is_some_and(|since| since.elapsed() >= self.supervision.moved_check)
-                    {
-                        self.report_moved(source);
-                        held = Some(Instant::now());
-                    }
-                    if description.waits
-                        && search.is_none()
-                        && self.keep_pace(&mut pace, &frame_set)
-                    {
-                        continue;
-                    }
-                    if !self.pass_on(frame_set, search, description.waits) {
-                        return End::Stopped;
-                    }
-                }
-                Err(CaptureError::TimedOut { waited }) => {
-                    self.silence.went_on(waited);
-                    let limits = [self.supervision.stall, self.supervision.first_frame];
-                    let too_long = self.silence.too_long(limits, description.fps);
-                    if let Some(silence) = too_long.filter(|_| self.may_stall) {
-                        return End::Lost(format!("no frame for {:.1} s", silence.as_secs_f64()));
-                    }
-                }
-                Err(CaptureError::Ended) if !delivered => {
-                    return End::Failed("the recording holds no frames".into());
-                }
-                Err(CaptureError::Ended) if description.waits && search.is_none() => {
-                    return End::Again;
-                }
-                Err(CaptureError::Ended) => {
-                    return End::Ended { search, waits: description.waits, cut };
-                }
-                // A recording that was cut short ends at its last readable frame.
-                Err(CaptureError::Failed { reason })
-                    if delivered && !self.may_stall && cut.is_none() =>
-                {
-                    cut = Some(reason);
-                }
-                Err(CaptureError::Failed { reason }) => return End::Failed(reason),
-                Err(error @ CaptureError::Lost { .. }) => return End::Lost(error.to_string()),
+            let flow = match next {
+                Ok(frame_set) => self.on_frame(source, &mut delivery, frame_set, search),
+                Err(error) => self.on_error(&mut delivery, error, search),
+            };
+            if let ControlFlow::Break(end) = flow {
+                return end;
             }
         }
+    }
+
+    fn on_frame(
+        &mut self,
+        source: &dyn FrameSource,
+        delivery: &mut Delivery,
+        frame_set: FrameSet,
+        search: Option<Arc<CameraSearch>>,
+    ) -> ControlFlow<End> {
+        self.silence.ended();
+        delivery.has_delivered = true;
+        if delivery.opened.elapsed() > self.supervision.longest_retry {
+            self.retry = self.supervision.first_retry;
+        }
+        if search.is_none() {
+            let is_due = |checked: Instant| checked.elapsed() >= self.supervision.moved_check;
+            if delivery.checked.is_some_and(is_due) {
+                self.report_moved(source);
+                delivery.checked = Some(Instant::now());
+            }
+            if delivery.waits && self.keep_pace(&mut delivery.pace, &frame_set) {
+                return ControlFlow::Continue(());
+            }
+        }
+        if self.pass_on(frame_set, search, delivery.waits) {
+            ControlFlow::Continue(())
+        } else {
+            ControlFlow::Break(End::Stopped)
+        }
+    }
+
+    fn on_error(
+        &mut self,
+        delivery: &mut Delivery,
+        error: CaptureError,
+        search: Option<Arc<CameraSearch>>,
+    ) -> ControlFlow<End> {
+        ControlFlow::Break(match error {
+            CaptureError::TimedOut { waited } => {
+                self.silence.went_on(waited);
+                let limits = [self.supervision.stall, self.supervision.first_frame];
+                let too_long = self.silence.too_long(limits, delivery.fps);
+                let Some(silence) = too_long.filter(|_| self.may_stall) else {
+                    return ControlFlow::Continue(());
+                };
+                End::Lost(format!("no frame for {:.1} s", silence.as_secs_f64()))
+            }
+            CaptureError::Ended if !delivery.has_delivered => {
+                End::Failed("the recording holds no frames".into())
+            }
+            CaptureError::Ended if delivery.waits && search.is_none() => End::Again,
+            CaptureError::Ended => {
+                End::Ended { search, waits: delivery.waits, cut: delivery.cut.take() }
+            }
+            // A recording that was cut short ends at its last readable frame.
+            CaptureError::Failed { reason }
+                if delivery.has_delivered && !self.may_stall && delivery.cut.is_none() =>
+            {
+                delivery.cut = Some(reason);
+                return ControlFlow::Continue(());
+            }
+            CaptureError::Failed { reason } => End::Failed(reason),
+            error @ CaptureError::Lost { .. } => End::Lost(error.to_string()),
+        })
     }
 
     fn hold_still(&self, source: &mut dyn FrameSource, on: bool) {
@@ -290,9 +362,9 @@ impl Capture {
             if self.camera.search.get().is_some() || self.camera.stop.is_set() {
                 return true;
             }
-            let glance = left.min(GLANCE);
-            self.camera.stop.wait(glance);
-            left -= glance;
+            let step = left.min(POLL_INTERVAL);
+            self.camera.stop.wait(step);
+            left -= step;
         }
         false
     }
@@ -396,7 +468,7 @@ impl Capture {
     }
 
     fn say(&self, state: CameraState, reason: &str, is_held: bool) {
-        let reason = &format!("{reason}{}", if is_held { HELD } else { "" });
+        let reason = &format!("{reason}{}", if is_held { DRIVER_HOLDS_ON } else { "" });
         self.camera.status.send_modify(|status| status.fps = None);
         // A client that is notified of the lost camera already finds its session waiting.
         if let Some(search) = self.camera.search.get() {
@@ -417,26 +489,11 @@ impl Capture {
         self.camera.status.send_modify(|status| status.fps = None);
         let until = format!("{reason}; it starts again with the next session");
         self.camera.set_state(CameraState::Failed, Some(&until));
-        while !self.camera.stop.wait(GLANCE) {
+        while !self.camera.stop.wait(POLL_INTERVAL) {
             let search = self.camera.search.get();
             if search.as_ref() != ended_for && (waits || search.is_some()) {
                 return;
             }
         }
-    }
-}
-
-/// Paces an idle replay at its recorded frame interval.
-#[derive(Default)]
-struct IdlePace {
-    last_ns: Option<i64>,
-}
-
-impl IdlePace {
-    fn until_due(&mut self, frame_set: &FrameSet) -> Duration {
-        let now_ns = frame_set.host_time.utc_ns;
-        let since_ns =
-            self.last_ns.replace(now_ns).map_or(0, |last_ns| now_ns.saturating_sub(last_ns));
-        Duration::from_nanos(since_ns.max(0).unsigned_abs()).min(LONGEST_PACE)
     }
 }

@@ -43,6 +43,7 @@ mod fleet_tests;
 mod frame_rate;
 mod frame_slot;
 mod guarded;
+mod idle_pace;
 mod instrument;
 #[cfg(test)]
 #[allow(

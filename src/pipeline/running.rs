@@ -15,7 +15,6 @@ use crate::pipeline::current_calibration::CurrentCalibration;
 use crate::pipeline::detect_thread::Detect;
 use crate::pipeline::event::EventLog;
 use crate::pipeline::fleet_error::FleetError;
-use crate::pipeline::frame_rate::FrameRate;
 use crate::pipeline::frame_slot::FrameSlot;
 use crate::pipeline::instrument::{Instrument, RigPlan};
 use crate::pipeline::jobs::Jobs;
@@ -28,7 +27,6 @@ use crate::pipeline::preview_thread;
 use crate::pipeline::recorder::RecorderLink;
 use crate::pipeline::search::CurrentSearch;
 use crate::pipeline::session_thread::SessionThread;
-use crate::pipeline::silence::Silence;
 use crate::pipeline::solve_thread;
 use crate::pipeline::stop_signal::StopSignal;
 use crate::pipeline::store_health::StoreHealth;
@@ -86,8 +84,9 @@ impl Default for FleetOptions {
 /// Frame sets on their way to the session thread; a longer queue would only add delay.
 const QUEUE: usize = 4;
 /// How long threads may take to end.
-const LAST_WAIT: Duration = Duration::from_millis(700);
-const GLANCE: Duration = Duration::from_millis(2);
+const STOP_TIMEOUT: Duration = Duration::from_millis(700);
+/// How often it is checked whether they have.
+const POLL_INTERVAL: Duration = Duration::from_millis(2);
 
 /// What all cameras and rigs share.
 #[derive(Debug)]
@@ -133,31 +132,7 @@ pub(super) fn start_camera(
 ) -> Result<RunningCamera, FleetError> {
     let CameraPlan { name, kind, image_source, open, may_stall } = plan;
     let (messages, received) = mpsc::channel(QUEUE);
-    let mut status = CameraStatus::starting(&name, &kind);
-    status.calibration = shared.store.current_calibration_id(&name)?;
-    let current = status.calibration.as_ref();
-    let current = current.and_then(|id| CurrentCalibration::read(&shared.store, id, &name, &name));
-    shared.metrics.introduce(&name);
-    let camera = Arc::new(LiveCamera {
-        status: watch::Sender::new(status),
-        frames: watch::Sender::new(None),
-        search: CurrentSearch::default(),
-        slot: FrameSlot::new(),
-        messages: messages.clone(),
-        events: Arc::clone(&shared.events),
-        metrics: Arc::clone(&shared.metrics),
-        recorder: RecorderLink::default(),
-        stop: StopSignal::default(),
-        factory: Arc::default(),
-        preview: Preview::new(Arc::clone(&shared.maps)),
-        guidance: Mutex::default(),
-        key_frame: Mutex::default(),
-        images: Mutex::default(),
-        calibrated: Mutex::new(current),
-        rigs: Mutex::default(),
-        image_source,
-        name: name.clone(),
-    });
+    let camera = Arc::new(live_camera(&name, &kind, image_source, messages.clone(), shared)?);
     let instrument = Instrument {
         calibration: watch::Sender::new(camera.status.borrow().calibration.clone()),
         approving: Mutex::default(),
@@ -173,18 +148,7 @@ pub(super) fn start_camera(
     };
     // Before the first frame, so that a replay is searched from its beginning.
     let own = start_instrument(instrument, received, unfinished, shared, options)?;
-    let capture = Capture {
-        camera: Arc::clone(&camera),
-        open,
-        supervision: options.supervision,
-        may_stall,
-        silence: Silence::default(),
-        rate: FrameRate::default(),
-        retry: options.supervision.first_retry,
-        resized: false,
-        compared: None,
-        held: None,
-    };
+    let capture = Capture::new(Arc::clone(&camera), open, may_stall, options.supervision);
     let detect = Detect::new(Arc::clone(&camera));
     let shown = Arc::clone(&camera);
     let threads = vec![
@@ -193,6 +157,41 @@ pub(super) fn start_camera(
         spawn("capture", &camera.name, move || capture.run())?,
     ];
     Ok(RunningCamera { camera, own, threads })
+}
+
+/// A camera whose threads do not run yet, with its current calibration.
+fn live_camera(
+    name: &str,
+    kind: &str,
+    image_source: String,
+    messages: mpsc::Sender<Message>,
+    shared: &SharedParts,
+) -> Result<LiveCamera, FleetError> {
+    let mut status = CameraStatus::starting(name, kind);
+    status.calibration = shared.store.current_calibration_id(name)?;
+    let current = status.calibration.as_ref();
+    let current = current.and_then(|id| CurrentCalibration::read(&shared.store, id, name, name));
+    shared.metrics.introduce(name);
+    Ok(LiveCamera {
+        status: watch::Sender::new(status),
+        frames: watch::Sender::new(None),
+        search: CurrentSearch::default(),
+        slot: FrameSlot::new(),
+        messages,
+        events: Arc::clone(&shared.events),
+        metrics: Arc::clone(&shared.metrics),
+        recorder: RecorderLink::default(),
+        stop: StopSignal::default(),
+        factory: Arc::default(),
+        preview: Preview::new(Arc::clone(&shared.maps)),
+        guidance: Mutex::default(),
+        key_frame: Mutex::default(),
+        images: Mutex::default(),
+        calibrated: Mutex::new(current),
+        rigs: Mutex::default(),
+        image_source,
+        name: name.to_owned(),
+    })
 }
 
 /// Starts a rig's threads, with the session that an earlier run left unfinished.
@@ -270,12 +269,12 @@ pub(super) fn stop(rigs: &[RunningInstrument], cameras: &[RunningCamera]) {
         camera.slot.close();
         camera.preview.slot.close();
     }
-    let until = Instant::now() + LAST_WAIT;
+    let until = Instant::now() + STOP_TIMEOUT;
     let of_cameras =
         cameras.iter().flat_map(|running| running.threads.iter().chain([&running.own.thread]));
     let mut threads = rigs.iter().map(|rig| &rig.thread).chain(of_cameras);
     while threads.clone().any(|thread| !thread.is_finished()) && Instant::now() < until {
-        thread::sleep(GLANCE);
+        thread::sleep(POLL_INTERVAL);
     }
     for RunningCamera { camera, .. } in cameras {
         camera.recorder.finish();
