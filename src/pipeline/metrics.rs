@@ -1,5 +1,6 @@
 //! The daemon's metrics, in Prometheus's terms.
 
+use prometheus::core::Collector;
 use prometheus::{
     Encoder, HistogramOpts, HistogramVec, IntCounter, IntCounterVec, IntGauge, IntGaugeVec, Opts,
     Registry, TextEncoder,
@@ -57,117 +58,137 @@ const FRAME_SECONDS: [f64; 12] =
     [0.0005, 0.001, 0.002, 0.003, 0.005, 0.01, 0.02, 0.03, 0.05, 0.1, 0.3, 1.0];
 const SOLVE_SECONDS: [f64; 9] = [0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0];
 
+/// Metrics as they are made: each is registered.
+struct NewMetrics {
+    registry: Registry,
+}
+
+impl NewMetrics {
+    fn counters(
+        &self,
+        name: &str,
+        help: &str,
+        labels: &[&str],
+    ) -> Result<IntCounterVec, prometheus::Error> {
+        self.register(IntCounterVec::new(Opts::new(name, help), labels)?)
+    }
+
+    fn gauges(
+        &self,
+        name: &str,
+        help: &str,
+        labels: &[&str],
+    ) -> Result<IntGaugeVec, prometheus::Error> {
+        self.register(IntGaugeVec::new(Opts::new(name, help), labels)?)
+    }
+
+    /// By camera.
+    fn histograms(
+        &self,
+        name: &str,
+        help: &str,
+        buckets: &[f64],
+    ) -> Result<HistogramVec, prometheus::Error> {
+        let options = HistogramOpts::new(name, help).buckets(buckets.to_vec());
+        self.register(HistogramVec::new(options, &["camera"])?)
+    }
+
+    fn register<M: Collector + Clone + 'static>(&self, metric: M) -> Result<M, prometheus::Error> {
+        self.registry.register(Box::new(metric.clone()))?;
+        Ok(metric)
+    }
+}
+
 impl Metrics {
     pub(super) fn new() -> Result<Self, prometheus::Error> {
-        let registry = Registry::new();
-        let counter = |name: &str, help: &str, labels: &[&str]| {
-            let counter = IntCounterVec::new(Opts::new(name, help), labels)?;
-            registry.register(Box::new(counter.clone()))?;
-            Ok::<_, prometheus::Error>(counter)
-        };
-        let histogram = |name: &str, help: &str, buckets: &[f64]| {
-            let histogram = HistogramVec::new(
-                HistogramOpts::new(name, help).buckets(buckets.to_vec()),
-                &["camera"],
-            )?;
-            registry.register(Box::new(histogram.clone()))?;
-            Ok::<_, prometheus::Error>(histogram)
-        };
-        let state = IntGaugeVec::new(
-            Opts::new("plumb_camera_state", "1 for the state that the camera is in"),
-            &["camera", "state"],
-        )?;
-        registry.register(Box::new(state.clone()))?;
-        let kept_depth_bytes = IntGaugeVec::new(
-            Opts::new("plumb_kept_depth_bytes", "depth of kept views that is in memory"),
-            &["camera"],
-        )?;
-        registry.register(Box::new(kept_depth_bytes.clone()))?;
-        let paused = IntGauge::new(
-            "plumb_sessions_paused",
-            "sessions that are paused because what they keep cannot be stored",
-        )?;
-        registry.register(Box::new(paused.clone()))?;
-        let store_failures = IntCounter::new(
-            "plumb_store_failures_total",
-            "times that something could not be stored",
-        )?;
-        registry.register(Box::new(store_failures.clone()))?;
-        let unreadable_rows = IntGauge::new(
-            "plumb_store_unreadable_rows",
-            "rows of the store that were found unreadable since the start",
-        )?;
-        registry.register(Box::new(unreadable_rows.clone()))?;
+        let new = NewMetrics { registry: Registry::new() };
         Ok(Self {
-            frames: counter("plumb_frames_total", "frame sets received", &["camera"])?,
-            dropped: counter(
+            frames: new.counters("plumb_frames_total", "frame sets received", &["camera"])?,
+            dropped: new.counters(
                 "plumb_frames_dropped_total",
                 "frame sets lost, and why",
                 &["camera", "why"],
             )?,
-            searched: counter(
+            searched: new.counters(
                 "plumb_frames_searched_total",
                 "frames searched for a board",
                 &["camera"],
             )?,
-            boards: counter(
+            boards: new.counters(
                 "plumb_boards_found_total",
                 "frames in which the board was found",
                 &["camera"],
             )?,
-            views: counter("plumb_views_kept_total", "views kept by sessions", &["camera"])?,
-            rejected: counter(
+            views: new.counters("plumb_views_kept_total", "views kept by sessions", &["camera"])?,
+            rejected: new.counters(
                 "plumb_frames_rejected_total",
                 "frames not kept by a session",
                 &["camera", "reason"],
             )?,
-            sessions: counter(
+            sessions: new.counters(
                 "plumb_sessions_ended_total",
                 "sessions that ended, and how",
                 &["camera", "state"],
             )?,
-            opened: counter(
+            opened: new.counters(
                 "plumb_camera_opened_total",
                 "times that the camera was opened",
                 &["camera"],
             )?,
-            lost: counter(
+            lost: new.counters(
                 "plumb_camera_lost_total",
                 "times that the camera was lost",
                 &["camera"],
             )?,
-            frame_sets: counter(
+            frame_sets: new.counters(
                 "plumb_rig_frame_sets_total",
                 "frame sets of a rig's session, and whether every camera gave a frame",
                 &["rig", "complete"],
             )?,
-            kept_depth_bytes,
-            paused,
-            store_failures,
-            unreadable_rows,
-            previews: counter(
+            kept_depth_bytes: new.gauges(
+                "plumb_kept_depth_bytes",
+                "depth of kept views that is in memory",
+                &["camera"],
+            )?,
+            paused: new.register(IntGauge::new(
+                "plumb_sessions_paused",
+                "sessions that are paused because what they keep cannot be stored",
+            )?)?,
+            store_failures: new.register(IntCounter::new(
+                "plumb_store_failures_total",
+                "times that something could not be stored",
+            )?)?,
+            unreadable_rows: new.register(IntGauge::new(
+                "plumb_store_unreadable_rows",
+                "rows of the store that were found unreadable since the start",
+            )?)?,
+            previews: new.counters(
                 "plumb_previews_drawn_total",
                 "frames drawn and encoded for all who watch them",
                 &["camera"],
             )?,
-            previews_skipped: counter(
+            previews_skipped: new.counters(
                 "plumb_previews_skipped_total",
                 "watched frames that a newer one replaced before they were drawn",
                 &["camera"],
             )?,
-            state,
-            detection_seconds: histogram(
+            state: new.gauges(
+                "plumb_camera_state",
+                "1 for the state that the camera is in",
+                &["camera", "state"],
+            )?,
+            detection_seconds: new.histograms(
                 "plumb_detection_seconds",
                 "decoding and detection of a frame",
                 &FRAME_SECONDS,
             )?,
-            latency_seconds: histogram(
+            latency_seconds: new.histograms(
                 "plumb_frame_latency_seconds",
                 "from a frame's arrival to what was seen in it",
                 &FRAME_SECONDS,
             )?,
-            solve_seconds: histogram("plumb_solve_seconds", "final solves", &SOLVE_SECONDS)?,
-            registry,
+            solve_seconds: new.histograms("plumb_solve_seconds", "final solves", &SOLVE_SECONDS)?,
+            registry: new.registry,
         })
     }
 

@@ -81,11 +81,12 @@ mod solve_job;
 mod solve_thread;
 mod stop_signal;
 mod store_health;
+mod supervision;
 mod sync;
 pub mod unknown;
 mod unstored;
 mod view_image;
 
-pub use capture_thread::Supervision;
 pub use instrument::{RigPlan, RigStatus};
 pub use running::{CameraPlan, Exchange, FleetOptions};
+pub use supervision::Supervision;

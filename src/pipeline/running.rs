@@ -10,7 +10,7 @@ use crate::calibration::admission::AdmissionOptions;
 use crate::calibration::session_record::SessionRecord;
 use crate::capture::SourceOpener;
 use crate::pipeline::camera_status::CameraStatus;
-use crate::pipeline::capture_thread::{Capture, Supervision};
+use crate::pipeline::capture_thread::Capture;
 use crate::pipeline::current_calibration::CurrentCalibration;
 use crate::pipeline::detect_thread::Detect;
 use crate::pipeline::event::EventLog;
@@ -30,6 +30,7 @@ use crate::pipeline::session_thread::SessionThread;
 use crate::pipeline::solve_thread;
 use crate::pipeline::stop_signal::StopSignal;
 use crate::pipeline::store_health::StoreHealth;
+use crate::pipeline::supervision::Supervision;
 use crate::store::Store;
 
 /// A camera to start.
