@@ -35,7 +35,7 @@ use crate::store::{Retention, Store};
 /// Threads that answer requests; frames and solves have their own.
 const HTTP_THREADS: usize = 2;
 /// What a request may still be computing when everything else has ended.
-const LAST_WAIT: Duration = Duration::from_millis(100);
+const SHUTDOWN_TIMEOUT: Duration = Duration::from_millis(100);
 
 /// Runs until the process is asked to end (Ctrl-C, SIGTERM); `file` is where `config` came from,
 /// but for `overrides`, and what SIGHUP reads again.
@@ -57,7 +57,7 @@ pub fn run(
             source,
         })?;
     let outcome = run_on(&runtime, config, file, overrides);
-    runtime.shutdown_timeout(LAST_WAIT);
+    runtime.shutdown_timeout(SHUTDOWN_TIMEOUT);
     outcome
 }
 

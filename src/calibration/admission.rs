@@ -276,7 +276,7 @@ impl Default for AdmissionOptions {
 const LEAST_BLUR_LIMIT_PX: f64 = 2.0;
 /// If the board jumps by more than this fraction of the diagonal, the two frames are not one
 /// motion: the recording has a cut, or is a set of photographs.
-const CUT: f64 = 0.25;
+const CUT_DIAGONALS: f64 = 0.25;
 /// If more time than this lies between two frames, in seconds, no speed is estimated.
 pub(crate) const ONE_MOVEMENT_S: f64 = 0.5;
 
@@ -346,7 +346,7 @@ fn speed_px_per_s(detection: &Detection, seen: &FrameFacts, before: &PreviousBoa
         Some(corner.pixel.distance_px(corners[at.ok()?].pixel))
     });
     let moved_px = shared.max_by(f64::total_cmp)?;
-    (moved_px < CUT * seen.image_size.diagonal_px()).then_some(moved_px / elapsed_s)
+    (moved_px < CUT_DIAGONALS * seen.image_size.diagonal_px()).then_some(moved_px / elapsed_s)
 }
 
 #[cfg(test)]

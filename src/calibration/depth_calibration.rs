@@ -106,7 +106,7 @@ impl DepthCalibration {
 }
 
 /// Ranges of distance grow by this factor.
-const RANGE: f64 = 1.25;
+const RANGE_RATIO: f64 = 1.25;
 
 fn bias(estimate: &RgbdEstimate) -> Vec<DepthBias> {
     let uncorrected = |judged: &ComparedTile| judged.tile.inverse_depth - judged.plane;
@@ -120,7 +120,7 @@ fn bias(estimate: &RgbdEstimate) -> Vec<DepthBias> {
     let mut bins: std::collections::BTreeMap<i32, (Vec<f64>, Vec<f64>)> =
         std::collections::BTreeMap::new();
     for (judged, after) in estimate.judged.iter().flatten().zip(after.iter().flatten()) {
-        let bin = bins.entry((-judged.plane.ln() / RANGE.ln()).floor() as i32).or_default();
+        let bin = bins.entry((-judged.plane.ln() / RANGE_RATIO.ln()).floor() as i32).or_default();
         bin.0.push(1.0 / judged.tile.inverse_depth - 1.0 / judged.plane);
         bin.1.push(1.0 / (judged.plane + after) - 1.0 / judged.plane);
     }
@@ -129,8 +129,8 @@ fn bias(estimate: &RgbdEstimate) -> Vec<DepthBias> {
         |values: &[f64]| (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt();
     bins.into_iter()
         .map(|(bin, (before, after))| DepthBias {
-            from_m: RANGE.powi(bin),
-            to_m: RANGE.powi(bin + 1),
+            from_m: RANGE_RATIO.powi(bin),
+            to_m: RANGE_RATIO.powi(bin + 1),
             before_m: mean(&before),
             after_m: mean(&after),
             rms_after_m: rms(&after),
@@ -141,7 +141,7 @@ fn bias(estimate: &RgbdEstimate) -> Vec<DepthBias> {
 
 /// A mean error in a range of distances is reported if it exceeds this fraction of a reading's
 /// noise.
-const LEFT: f64 = 0.3;
+const REPORTED_NOISE_FRACTION: f64 = 0.3;
 
 /// The verdict with the findings about depth.
 pub fn judge_depth(
@@ -170,7 +170,7 @@ pub fn judge_depth(
     }
     for range in &depth.bias {
         let noise = depth.noise.at(0.5 * (range.from_m + range.to_m));
-        if range.after_m.abs() > LEFT * noise && range.patches >= 30 {
+        if range.after_m.abs() > REPORTED_NOISE_FRACTION * noise && range.patches >= 30 {
             let (from, to, left) = (range.from_m, range.to_m, 1000.0 * range.after_m);
             add(
                 Grade::Usable,

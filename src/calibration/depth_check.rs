@@ -18,12 +18,12 @@ const LIMIT_SIGMAS: f64 = 3.0;
 /// The standard error of a median over that of a mean.
 const MEDIAN_OVER_MEAN: f64 = 1.2533;
 /// With this many views or more, the worst one is left out.
-const LEAST_TO_LEAVE_ONE_OUT: usize = 4;
+const LEAVE_ONE_OUT_VIEWS: usize = 4;
 /// The peak speed of a board between two frames over its mean: twice, if it starts and stops there
 /// with constant acceleration.
 const PEAK_OVER_MEAN: f64 = 2.0;
 /// A direction with less than this fraction of the information of the best one is not determined.
-const NOT_SHOWN: f64 = 1e-9;
+const LEAST_INFORMATION_RATIO: f64 = 1e-9;
 
 /// A view's depth image, with the board's pose by color.
 #[derive(Debug, Clone, PartialEq)]
@@ -256,7 +256,7 @@ fn view_sigmas(patches: &[SeenPatch], motions: &[Vector6<f64>]) -> Option<f64> {
 fn off_sigmas(seen: &[Vec<SeenPatch>]) -> f64 {
     let mut views: Vec<f64> = seen.iter().filter_map(|patches| view_sigmas(patches, &[])).collect();
     views.sort_by(f64::total_cmp);
-    if views.len() >= LEAST_TO_LEAVE_ONE_OUT {
+    if views.len() >= LEAVE_ONE_OUT_VIEWS {
         views.pop();
     }
     let square = views.iter().map(|sigmas| sigmas * sigmas).sum::<f64>();
@@ -293,7 +293,7 @@ fn visible_m(known: &CalibratedErrors<'_>, seen: &[Vec<SeenPatch>]) -> Option<f6
         }
     }
     let eigenvalues = information.symmetric_eigenvalues();
-    let covariance = (eigenvalues.min() > NOT_SHOWN * eigenvalues.max())
+    let covariance = (eigenvalues.min() > LEAST_INFORMATION_RATIO * eigenvalues.max())
         .then(|| information.try_inverse())
         .flatten()?;
     let of_translation = covariance.fixed_view::<3, 3>(0, 0).into_owned();

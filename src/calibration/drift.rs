@@ -20,7 +20,7 @@ const LIMIT_SIGMAS: f64 = 3.0;
 const LEAST_LIMIT_PX: f64 = 0.1;
 /// The number of views whose median misfit decides: a single one may be blurred, or a hand may have
 /// bent its board.
-const VIEWS: usize = 5;
+const MEDIAN_VIEWS: usize = 5;
 
 /// Compares a calibration with the boards seen since.
 #[derive(Debug, Clone)]
@@ -83,12 +83,12 @@ impl DriftWatch {
         }
         // A view that determines no pose shows nothing about the lens.
         self.misfits_px.push(self.misfit_px(view)?);
-        if self.misfits_px.len() < VIEWS {
+        if self.misfits_px.len() < MEDIAN_VIEWS {
             return None;
         }
-        let mut latest = self.misfits_px[self.misfits_px.len() - VIEWS..].to_vec();
+        let mut latest = self.misfits_px[self.misfits_px.len() - MEDIAN_VIEWS..].to_vec();
         latest.sort_by(f64::total_cmp);
-        let rms_px = latest[VIEWS / 2];
+        let rms_px = latest[MEDIAN_VIEWS / 2];
         let moved_px = (rms_px.powi(2) - self.expected_px.powi(2)).max(0.0).sqrt();
         if moved_px <= self.limit_px {
             return None;
@@ -213,7 +213,7 @@ mod tests {
         let reports: Vec<Option<Drift>> =
             (0..8).map(|k| watch.see(&view(&lens(570.0, -0.05), k % 5), SIZE)).collect();
         assert_eq!(reports.iter().flatten().count(), 1);
-        let drift = reports[VIEWS - 1].as_ref().unwrap();
+        let drift = reports[MEDIAN_VIEWS - 1].as_ref().unwrap();
         assert!(drift.rms_px.unwrap() > 0.2, "{drift:?}");
         assert_eq!((drift.calibration.as_str(), drift.expected_px), ("c1", 0.06));
     }

@@ -38,7 +38,7 @@ pub struct FactoryCheck {
 
 /// The estimate must be better by this many standard deviations of the uncertainty due to color's
 /// lens.
-const SURE: f64 = 2.0;
+const EXCESS_SIGMAS: f64 = 2.0;
 
 impl FactoryCheck {
     /// Compares `estimate`, and what `halves` of its views give, with the factory's lens and pose.
@@ -74,7 +74,7 @@ impl FactoryCheck {
             estimate.color_covariance[(k, k)].max(0.0).sqrt() / estimate.color.parameters()[k]
         };
         let open = std(0).max(std(1));
-        let is_better = factory * factory > own * own + (SURE * open).powi(2);
+        let is_better = factory * factory > own * own + (EXCESS_SIGMAS * open).powi(2);
         let kept = (!is_better)
             .then(|| Box::new(as_the_factory_has_it(problem, estimate, camera, color_from_depth)));
         let views = halves.views.iter().map(Vec::len).sum();

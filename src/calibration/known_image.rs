@@ -5,10 +5,10 @@ use crate::calibration::result::Grade;
 use crate::estimation::uncertainty::UncertaintyMap;
 
 /// A good calibration and a usable one know at least this fraction of the image …
-const KNOWN_PART: [f64; 2] = [0.95, 0.67];
+const KNOWN_FRACTIONS: [f64; 2] = [0.95, 0.67];
 /// … to within this fraction of the image's diagonal (1 sigma): 0.4 and 1 px at 640x480, which with
 /// a lens 60 degrees wide are 0.7 and 1.8 mm at a meter.
-const KNOWN_TO: [f64; 2] = [0.0005, 0.00125];
+const KNOWN_DIAGONALS: [f64; 2] = [0.0005, 0.00125];
 
 /// The uncertainty of projections over an image, with the limits to grade it by.
 #[derive(Debug, Clone, PartialEq)]
@@ -23,7 +23,7 @@ impl KnownImage {
     pub(super) fn of(map: &UncertaintyMap) -> Self {
         Self {
             std_px: map.std_px.iter().flatten().copied().collect(),
-            limits_px: KNOWN_TO.map(|part| part * map.grid.size.diagonal_px()),
+            limits_px: KNOWN_DIAGONALS.map(|part| part * map.grid.size.diagonal_px()),
         }
     }
 
@@ -45,7 +45,7 @@ impl KnownImage {
     /// Its grade if uncertainties were allowed to be `factor` times as large.
     pub(super) fn grade_widened(&self, factor: f64) -> Grade {
         let [good_px, usable_px] = self.limits_px.map(|limit_px| limit_px * factor);
-        match KNOWN_PART {
+        match KNOWN_FRACTIONS {
             [good, _] if self.part_within(good_px) >= good => Grade::Good,
             [_, usable] if self.part_within(usable_px) >= usable => Grade::Usable,
             _ => Grade::Poor,

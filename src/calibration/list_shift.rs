@@ -7,21 +7,21 @@ use crate::geometry::median::median;
 use crate::geometry::pose::Pose;
 
 /// The longest shift that is tried, in frame sets.
-const LONGEST: isize = 10;
+const LONGEST_SHIFT: isize = 10;
 /// Fewer shared frame sets prove nothing: three relative poses may agree by chance.
-const LEAST_SHARED: usize = 4;
+const LEAST_SHARED_FRAME_SETS: usize = 4;
 /// A shift explains a scatter that is this many times its own. Poses of a board are known to a few
 /// parts in a thousand of their scatter over views that differ; any factor from 3 to 30 holds.
-const EXPLAINS: f64 = 10.0;
+const LEAST_SCATTER_RATIO: f64 = 10.0;
 
 /// By how many frame sets `other` lags behind `reference`, negative where it leads; `None` where
 /// it fits as it is, or no shift fits clearly better.
 pub(super) fn list_shift(reference: &[FrameSetPose], other: &[FrameSetPose]) -> Option<isize> {
     let as_it_is = scatter(reference, other, 0)?;
-    let shifts = (-LONGEST..=LONGEST).filter(|shift| *shift != 0);
+    let shifts = (-LONGEST_SHIFT..=LONGEST_SHIFT).filter(|shift| *shift != 0);
     let scattered = shifts.filter_map(|shift| Some((shift, scatter(reference, other, shift)?)));
     let (shift, least) = scattered.min_by(|a, b| a.1.total_cmp(&b.1))?;
-    (least * EXPLAINS < as_it_is).then_some(shift)
+    (least * LEAST_SCATTER_RATIO < as_it_is).then_some(shift)
 }
 
 /// The median distance of the relative poses to the one in their middle, in radians and meters
@@ -33,7 +33,7 @@ fn scatter(reference: &[FrameSetPose], other: &[FrameSetPose], shift: isize) -> 
         Some(other.sensor_from_board * first.sensor_from_board.inverse())
     });
     let other_from_first: Vec<Pose> = shared.collect();
-    if other_from_first.len() < LEAST_SHARED {
+    if other_from_first.len() < LEAST_SHARED_FRAME_SETS {
         return None;
     }
     let median_distance = |a_from_b: &Pose| {

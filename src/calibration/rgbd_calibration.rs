@@ -168,19 +168,19 @@ pub fn without_color(input: &RgbdInput) -> Option<String> {
 
 /// The greatest standard deviation of the distance between the sensors along color's axis that is
 /// not reported, in meters.
-const WEAK_M: f64 = 0.005;
+const WEAK_STD_M: f64 = 0.005;
 
 /// A finding if the pose of depth is weak: planes alone hardly separate the distance between the
 /// sensors along the axis from the focal length and the quadratic term of the depth error.
 fn weak_place(estimate: &RgbdEstimate) -> Option<String> {
     let std_m = PoseStd::of(&estimate.color_from_depth_covariance).translation_m;
     let [x_mm, y_mm, z_mm] = std_m.map(|std_m| 1e3 * std_m);
-    if x_mm.max(y_mm) > z_mm.max(1e3 * WEAK_M) {
+    if x_mm.max(y_mm) > z_mm.max(1e3 * WEAK_STD_M) {
         return Some(format!(
             "the place of the depth camera in color's frame is known to {x_mm:.0} mm along x, {y_mm:.0} along y and {z_mm:.0} along z only: add views with depth, and tilt the board more in them, near and far, or record infrared"
         ));
     }
-    (z_mm > 1e3 * WEAK_M).then(|| {
+    (z_mm > 1e3 * WEAK_STD_M).then(|| {
         format!(
             "how far the depth camera stands back from color's is known to {z_mm:.0} mm only: flat boards alone do not separate it from the focal length and the error of depth; corrected depth still agrees with color: tilt the board more, near and far, or record infrared"
         )
@@ -237,11 +237,11 @@ fn depth_not_used(solved: &SolvedRgbd, views: usize) -> Option<String> {
 
 /// A factor between depth and the board that differs from 1 by more than this is reported: depth
 /// cameras err by 1 or 2 parts in a hundred.
-const REPORTED_ABOVE: f64 = 0.03;
+const REPORTED_FACTOR_ERROR: f64 = 0.03;
 
 /// A wrong unit or a wrong square gives the same factor in every view: the views' median deviation
 /// from it is less than this fraction of its difference from 1.
-const SAME_FACTOR: f64 = 0.3;
+const FACTOR_DEVIATION_RATIO: f64 = 0.3;
 
 /// A finding if depth differs from the board by the same factor in all views, as with a wrong unit
 /// of depth or a wrong square.
@@ -254,7 +254,7 @@ fn scale_doubt(joint: &RgbdEstimate, board: &Target) -> Option<String> {
     let factor = median(of_views.clone())?;
     let off = (factor - 1.0).abs();
     let deviation = median(of_views.iter().map(|one| (one - factor).abs()).collect())?;
-    if off < REPORTED_ABOVE || deviation > SAME_FACTOR * off {
+    if off < REPORTED_FACTOR_ERROR || deviation > FACTOR_DEVIATION_RATIO * off {
         return None;
     }
     let percent = 100.0 * (factor - 1.0);
@@ -264,7 +264,7 @@ fn scale_doubt(joint: &RgbdEstimate, board: &Target) -> Option<String> {
         Target::AprilGrid(board) => ("tag", board.tag_m),
     };
     let (std, along_m) = factor_std(joint)?;
-    if off < SURE * std {
+    if off < CAUSE_SIGMAS * std {
         let (std, along_mm) = (100.0 * std, 1e3 * along_m);
         return Some(format!(
             "depth reads {percent:+.1} ± {std:.1} % off the board in every view, too uncertain for a cause: a unit of depth or a {what} that is off by as much, or where the depth camera is, known to {along_mm:.0} mm along its axis; show the board nearer and farther, and give infrared images where there are any"
@@ -278,7 +278,7 @@ fn scale_doubt(joint: &RgbdEstimate, board: &Target) -> Option<String> {
 }
 
 /// A factor that differs from 1 by more than this many standard deviations has a cause.
-const SURE: f64 = 3.0;
+const CAUSE_SIGMAS: f64 = 3.0;
 
 /// The standard deviation of the factor between depth and the board, due to the position of the
 /// depth camera along color's axis and to color's focal length; with the former's standard

@@ -11,17 +11,17 @@ use crate::geometry::median::median;
 
 /// If depth is more than this many times the board's distance, or less than its reciprocal, the
 /// unit is wrong.
-const UNIT_LIMIT: f64 = 1.2;
+const UNIT_FACTOR: f64 = 1.2;
 
 /// The most that patches may deviate from that factor, as a relative median, for it to be a unit.
 const UNIT_DEVIATION: f64 = 0.1;
 
 /// The least fraction of patches that must follow the board.
-const LEAST_FOLLOWING: f64 = 0.6;
+const LEAST_FOLLOWING_FRACTION: f64 = 0.6;
 
 /// The most that may remain of the relative difference in 1/z between patches and the board, as the
 /// median over all patches.
-const MOST_LEFT: f64 = 0.02;
+const MOST_REMAINING_DIFFERENCE: f64 = 0.02;
 
 /// The greatest distance between sensors of one device, in meters, …
 const FARTHEST_M: f64 = 0.5;
@@ -37,7 +37,7 @@ pub(super) fn check_joint(joint: &RgbdEstimate, lens_from: DepthLens) -> Result<
     let factor = median(factors().collect()).unwrap_or(1.0);
     let deviation =
         median(factors().map(|one| (one / factor - 1.0).abs()).collect()).unwrap_or(0.0);
-    let wrong_unit = !(1.0 / UNIT_LIMIT..UNIT_LIMIT).contains(&factor);
+    let wrong_unit = !(1.0 / UNIT_FACTOR..UNIT_FACTOR).contains(&factor);
     if wrong_unit && matches!(joint.depth.reading, DepthReading::Metric { .. }) {
         // A wrong unit gives the same factor everywhere; another scene does not.
         return Err(match deviation < UNIT_DEVIATION {
@@ -55,8 +55,8 @@ pub(super) fn check_joint(joint: &RgbdEstimate, lens_from: DepthLens) -> Result<
         corrected.map_or(f64::INFINITY, |corrected| (corrected / judged.plane - 1.0).abs())
     };
     let middle = median(tiles().map(left).collect()).unwrap_or(0.0);
-    if joint.following < LEAST_FOLLOWING || middle > MOST_LEFT {
-        let off = tiles().filter(|judged| left(judged) > MOST_LEFT).count() as f64
+    if joint.following < LEAST_FOLLOWING_FRACTION || middle > MOST_REMAINING_DIFFERENCE {
+        let off = tiles().filter(|judged| left(judged) > MOST_REMAINING_DIFFERENCE).count() as f64
             / tiles().count().max(1) as f64;
         return Err(RgbdError::Disagree { percent: 100.0 * (1.0 - joint.following * (1.0 - off)) });
     }

@@ -183,7 +183,7 @@ impl InitialGuess {
             }
         }
         self.time_offset = time_offset(&self.depth_from_color, &both, extent_of(&input.board))
-            .filter(|offset| offset.std_s < LEAST_SURE_S);
+            .filter(|offset| offset.std_s < MOST_OFFSET_STD_S);
     }
 
     /// The meaning of disparity, from the values in the board's middle and its distance by color:
@@ -376,7 +376,7 @@ fn noise(
 }
 
 /// A time offset that is less certain than this, in seconds, is not used.
-const LEAST_SURE_S: f64 = 0.02;
+const MOST_OFFSET_STD_S: f64 = 0.02;
 
 /// The board's pose in a frame set that is no view.
 fn moving_pose(lens: &Lens, frame_set: &RgbdFrameSet, corners: &[Correspondence]) -> Option<Pose> {

@@ -109,7 +109,7 @@ impl Joint {
     pub(super) fn findings(&self, group: &[&SingleSensor<'_>]) -> Vec<Finding> {
         let name = |member: usize| group[member].input.name.as_str();
         let each = self.rms_ratio.iter().enumerate();
-        let misfitting = each.filter(|(_, rms_ratio)| **rms_ratio > MISFITTING);
+        let misfitting = each.filter(|(_, rms_ratio)| **rms_ratio > MISFIT_RMS_RATIO);
         let misfitting = misfitting.map(|(member, rms_ratio)| {
             let cause =
                 "the board moved between the cameras' images, or the cameras against each other: hold it still";
@@ -122,9 +122,9 @@ impl Joint {
         let open = self.extrinsics.iter().enumerate().filter_map(|(index, known)| {
             let (rotation_deg, translation_m) =
                 (largest(known.rotation_std).to_degrees(), largest(known.translation_std_m));
-            let loose = rotation_deg > LOOSE_DEG
+            let loose = rotation_deg > LOOSE_STD_DEG
                 || translation_m
-                    > LOOSE_PART * known.target_from_source.translation().norm().max(0.1);
+                    > LOOSE_STD_FRACTION * known.target_from_source.translation().norm().max(0.1);
             let advice = "show the board to both in more places, near and tilted";
             loose.then(|| {
                 let reason = format!(
@@ -158,7 +158,7 @@ impl Joint {
         let used = single.iter().filter(|view| view.used).count();
         let pairs = single.iter().zip(&self.sensors[member].views);
         let lost: Vec<_> = pairs.filter(|(single, joint)| single.used && !joint.used).collect();
-        if (lost.len() as f64) < CONTRADICTED * used as f64 {
+        if (lost.len() as f64) < CONTRADICTED_FRACTION * used as f64 {
             return None;
         }
         let (camera, first) = (&group[member].input.name, &lost.first()?.0.name);
@@ -172,7 +172,7 @@ impl Joint {
 
 /// The fraction of a camera's views above which contradicting views are no outliers: boards rarely
 /// move in so many. Chosen, not swept.
-const CONTRADICTED: f64 = 0.25;
+const CONTRADICTED_FRACTION: f64 = 0.25;
 
 /// The board's shape as measured by cameras with the same labels in all their views, with its
 /// points moved to where `labels` place them; `None` if there is no such camera.
@@ -192,11 +192,11 @@ fn measured_by(
 
 /// If a camera's residuals grow by more than this factor in the joint solve, the cameras moved
 /// relative to each other, or the board moved between their images.
-const MISFITTING: f64 = 1.5;
+const MISFIT_RMS_RATIO: f64 = 1.5;
 /// Standard deviations above which a relative pose is reported as loose: of the rotation in
 /// degrees, of the translation as a part of its length.
-const LOOSE_DEG: f64 = 0.1;
-const LOOSE_PART: f64 = 0.01;
+const LOOSE_STD_DEG: f64 = 0.1;
+const LOOSE_STD_FRACTION: f64 = 0.01;
 
 fn largest(values: [f64; 3]) -> f64 {
     values.into_iter().fold(0.0, f64::max)

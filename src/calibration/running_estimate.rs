@@ -19,11 +19,11 @@ const LEAST_VIEWS: usize = 8;
 
 /// Residuals may be at most this many times those of the previous estimate: with [`LEAST_VIEWS`] or
 /// more, one more view changes them less, unless something is wrong with it or with the estimate.
-const RESIDUALS: f64 = 1.25;
+const MOST_RMS_RATIO: f64 = 1.25;
 
 /// No parameter may move by more than this many of its previous standard deviations: one more view
 /// moves them by less than one.
-const MOVED: f64 = 4.0;
+const MOST_CHANGE_SIGMAS: f64 = 4.0;
 
 /// An estimate of the views so far.
 #[derive(Debug, Clone, PartialEq)]
@@ -82,8 +82,9 @@ impl Continuation {
         let (before, after) = (self.start.lens.parameters(), next.lens.parameters());
         let mut moved = before.iter().zip(&after).zip(&self.lens_std);
         !newly_rejected
-            && next.rms_px <= RESIDUALS * self.rms_px
-            && moved.all(|((before, after), std)| (after - before).abs() <= MOVED * std)
+            && next.rms_px <= MOST_RMS_RATIO * self.rms_px
+            && moved
+                .all(|((before, after), std)| (after - before).abs() <= MOST_CHANGE_SIGMAS * std)
     }
 }
 

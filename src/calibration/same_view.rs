@@ -4,13 +4,13 @@ use crate::estimation::problem::{BoardView, Correspondence};
 
 /// Two views are the same if all their corners are closer to each other than this, in standard
 /// deviations of their difference: by chance, none of a few hundred differences is larger.
-const SAME_STDS: f64 = 5.0;
+const SAME_VIEW_SIGMAS: f64 = 5.0;
 
 /// Whether two images show the board at the same place: copies of an image, or a camera and a board
 /// that stood still. Their model errors are the same, so they are not two independent views.
 pub fn is_same(one: &BoardView, other: &BoardView) -> bool {
     let is_near = |(a, b): (&Correspondence, &Correspondence)| {
-        let limit_px = SAME_STDS * a.std_px.hypot(b.std_px);
+        let limit_px = SAME_VIEW_SIGMAS * a.std_px.hypot(b.std_px);
         a.point_in_board == b.point_in_board
             && (a.pixel.x - b.pixel.x).abs() <= limit_px
             && (a.pixel.y - b.pixel.y).abs() <= limit_px

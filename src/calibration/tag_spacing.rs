@@ -16,14 +16,14 @@ pub(super) struct TagSpacing {
 }
 
 /// Corners within this fraction of the grid's extent are on one line.
-const SAME_PLACE: f64 = 1e-6;
+const LINE_TOLERANCE: f64 = 1e-6;
 
 /// Smaller differences are within the accuracy of a ruler: half a millimeter on tags of 10 cm.
 /// Chosen, not swept.
 const LEAST_DIFFERENCE: f64 = 0.005;
 
 /// Differences within this many standard deviations are chance.
-const BEYOND_CHANCE: f64 = 4.0;
+const CHANCE_SIGMAS: f64 = 4.0;
 
 impl TagSpacing {
     /// For a board whose stated corners form a grid of tags; `None` for others, and if the spacing
@@ -36,7 +36,7 @@ impl TagSpacing {
         let measured = (x.measured * weights[0] + y.measured * weights[1]) / sum;
         let (stated, std) = (x.stated, sum.sqrt().recip());
         let off = (measured - stated).abs();
-        (off > LEAST_DIFFERENCE.max(BEYOND_CHANCE * std)).then_some(Self { stated, measured, std })
+        (off > LEAST_DIFFERENCE.max(CHANCE_SIGMAS * std)).then_some(Self { stated, measured, std })
     }
 }
 
@@ -47,19 +47,19 @@ fn spacing_along(shape: &MeasuredBoard, axis: usize) -> Option<TagSpacing> {
     let mut lines = places.clone();
     lines.sort_by(f64::total_cmp);
     let extent = lines.last()? - lines.first()?;
-    lines.dedup_by(|a, b| (*a - *b).abs() < SAME_PLACE * extent);
+    lines.dedup_by(|a, b| (*a - *b).abs() < LINE_TOLERANCE * extent);
     let steps: Vec<f64> = lines.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let (tag, gap) = (*steps.first()?, *steps.get(1)?);
     let alternates = steps.iter().enumerate().all(|(k, step)| {
         let expected = if k % 2 == 0 { tag } else { gap };
-        (step - expected).abs() < SAME_PLACE * extent
+        (step - expected).abs() < LINE_TOLERANCE * extent
     });
-    if !alternates || lines.len() % 2 == 1 || (tag - gap).abs() < SAME_PLACE * extent {
+    if !alternates || lines.len() % 2 == 1 || (tag - gap).abs() < LINE_TOLERANCE * extent {
         return None;
     }
     let (mut square, mut right) = (Matrix4::zeros(), Vector4::zeros());
     let row = |k: usize| -> Option<(Vector4<f64>, f64)> {
-        let line = lines.iter().position(|at| (at - places[k]).abs() < SAME_PLACE * extent)?;
+        let line = lines.iter().position(|at| (at - places[k]).abs() < LINE_TOLERANCE * extent)?;
         let [number, side] = [line / 2, line % 2].map(|count| count as f64);
         let across = shape.points[k][1 - axis] / extent;
         Some((Vector4::new(1.0, number, side, across), places[k] + shape.offsets_m[k][axis]))

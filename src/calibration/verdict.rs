@@ -22,20 +22,20 @@ pub(super) const SPLIT_HALF: [f64; 2] = [2.5, 6.0];
 const CORRELATION: [f64; 2] = [0.5, 0.8];
 /// The same limits for how many times greater the uncertainty is than if corners had independent
 /// errors.
-const SHARED: [f64; 2] = [2.0, 8.0];
+const SHARED_ERROR_FACTORS: [f64; 2] = [2.0, 8.0];
 /// The same limits for the fraction of outliers among the corners.
 const OUTLIERS: [f64; 2] = [0.02, 0.25];
 /// The fraction of the image with corners from which a calibration is good, and usable.
 const COVERAGE: [f64; 2] = [0.6, 0.15];
 /// The greatest angle between the board's normals, in degrees, up to which its tilt counts as the
 /// same in all views.
-const FLAT_DEG: f64 = 15.0;
+const SAME_TILT_DEG: f64 = 15.0;
 /// If tilts vary by less than this in one of two directions, that direction is missing.
-const ONE_WAY_DEG: f64 = 7.5;
+const LEAST_TILT_RANGE_DEG: f64 = 7.5;
 
 /// The same limits for the fraction of an image outside a pinhole lens's valid region: the image's
 /// corners alone are less than the first. Chosen, not swept.
-const WITHOUT_RAY: [f64; 2] = [0.05, 0.25];
+const WITHOUT_RAY_FRACTIONS: [f64; 2] = [0.05, 0.25];
 
 /// Uncertainties that are this many times greater are mentioned.
 const NOTABLE_WIDENING: f64 = 1.2;
@@ -70,14 +70,14 @@ pub(crate) fn judge(
 
 /// If a board's lengths along x and y differ by more than this, relatively, printing does not
 /// explain it: half a millimeter over a meter.
-const ASPECT: f64 = 5e-4;
+const ASPECT_TOLERANCE: f64 = 5e-4;
 
 /// A finding if the board seems longer one way while pixels were taken as square: pixels that are
 /// not square have the same effect.
 pub(crate) fn square_pixels(estimate: &CameraEstimate) -> Option<String> {
     let shape = estimate.board_shape.as_ref()?;
     let percent = 100.0 * shape.aspect();
-    (percent.abs() > 100.0 * ASPECT).then(|| {
+    (percent.abs() > 100.0 * ASPECT_TOLERANCE).then(|| {
         format!(
             "with square pixels the board is {percent:+.2} % longer along its rows than along its columns: measure it, or leave --square-pixels out, since pixels that are not square have the same effect"
         )
@@ -126,7 +126,7 @@ fn without_ray(lens: &Lens, map: Option<&UncertaintyMap>) -> Option<Finding> {
         "in {:.0} % of the image the lens that was found has no ray, and nothing that is said of uncertainty holds there: add views there",
         100.0 * part
     );
-    Finding::worse_than_good(Grade::of_figure(part, WITHOUT_RAY), reason)
+    Finding::worse_than_good(Grade::of_figure(part, WITHOUT_RAY_FRACTIONS), reason)
 }
 
 /// Findings that the model does not fit: first the cause, if it can be determined, then the signs.
@@ -199,7 +199,7 @@ fn variance_inflation(estimate: &CameraEstimate) -> Option<Finding> {
     let sign = format!(
         "views are off as a whole, which makes the result {factor:.1} times as uncertain as the scatter of their corners alone would"
     );
-    Finding::worse_than_good(Grade::of_figure(factor, SHARED), sign)
+    Finding::worse_than_good(Grade::of_figure(factor, SHARED_ERROR_FACTORS), sign)
 }
 
 fn smooth_residuals(check: &ModelCheck) -> Option<Finding> {
@@ -406,7 +406,7 @@ fn flat_board(estimate: &CameraEstimate) -> Option<Finding> {
     if normals.len() < 2 {
         return None;
     }
-    if widest < FLAT_DEG {
+    if widest < SAME_TILT_DEG {
         let reason = format!(
             "the board's tilt differs by at most {widest:.0} degrees between views, which leaves the focal length weak: tilt it by 20 to 45 degrees in different directions"
         );
@@ -422,7 +422,7 @@ fn flat_board(estimate: &CameraEstimate) -> Option<Finding> {
         "the board's tilt differs by {:.0} degrees in one direction and by {:.0} in the other, which leaves the focal length weak: tilt {named} towards the camera too, by 20 to 45 degrees",
         wide.range_deg, narrow.range_deg
     );
-    (narrow.range_deg < ONE_WAY_DEG).then_some(Finding { grade: Grade::Usable, reason })
+    (narrow.range_deg < LEAST_TILT_RANGE_DEG).then_some(Finding { grade: Grade::Usable, reason })
 }
 
 /// The range of directions along one axis.

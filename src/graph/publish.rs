@@ -20,12 +20,12 @@ use crate::recording::ros2_results::{FrameTransform, diagnostics, reply, static_
 use crate::store::Store;
 
 /// As often as ROS's own nodes say how they do.
-const DIAGNOSTICS: Duration = Duration::from_secs(1);
+const DIAGNOSTICS_INTERVAL: Duration = Duration::from_secs(1);
 /// How soon the graph, or a camera on it, is tried again.
-const RETRY: Duration = Duration::from_secs(10);
+const RETRY_INTERVAL: Duration = Duration::from_secs(10);
 /// Requests to end a session that wait for their answer at once.
-const ENDING: usize = 64;
-const TOO_MANY: &str = "64 requests to stop wait for their session; ask again later";
+const MOST_STOP_REQUESTS: usize = 64;
+const TOO_MANY_STOPS: &str = "64 requests to stop wait for their session; ask again later";
 const NO_BOARD: &str = "no board is configured: write [ros2] session = { target = { kind = \"chessboard\", cols = …, rows = …, square_m = … } }";
 
 /// What is published, and where.
@@ -84,15 +84,15 @@ struct Ended {
 /// as before there is a network, is tried again.
 pub async fn publish(fleet: Arc<Fleet>, store: Arc<Store>, plan: GraphPlan) {
     let mut instruments = plan.instruments.clone();
-    let mut graph = joined(RETRY, || GraphTask::join(&fleet, &store, &plan)).await;
+    let mut graph = joined(RETRY_INTERVAL, || GraphTask::join(&fleet, &store, &plan)).await;
     let mut events = fleet.events(None);
     let known = instruments.borrow_and_update().clone();
     graph.take_instruments(known).await;
     let woken = Arc::new(Woken::default());
     let waker = Waker::from(Arc::clone(&woken));
-    let (ended, mut endings) = mpsc::channel(ENDING);
-    let mut seconds = tokio::time::interval(DIAGNOSTICS);
-    let mut retries = tokio::time::interval(RETRY);
+    let (ended, mut endings) = mpsc::channel(MOST_STOP_REQUESTS);
+    let mut seconds = tokio::time::interval(DIAGNOSTICS_INTERVAL);
+    let mut retries = tokio::time::interval(RETRY_INTERVAL);
     loop {
         graph.topics.values().for_each(|topics| topics.wake(&waker));
         graph.serve(&ended).await;
@@ -355,7 +355,7 @@ impl GraphTask {
         let Some(session) = sessions.iter().find(runs) else {
             return refuse("no session runs; start one first");
         };
-        let Ok(place) = ended.clone().try_reserve_owned() else { return refuse(TOO_MANY) };
+        let Ok(place) = ended.clone().try_reserve_owned() else { return refuse(TOO_MANY_STOPS) };
         if let Err(error) = self.fleet.stop_session(&session.id).await {
             return refuse(&error.to_string());
         }

@@ -3,10 +3,10 @@
 //! session gets them. For an instrument of one camera, each frame is a frame set by itself.
 //!
 //! It has no thread of its own: the detection thread that completes a frame set also finishes it.
-//! Only frames that still lack the frames of other cameras wait here, at most [`LIMIT`] of each
-//! camera. A live camera never waits: frame sets are made without a lost camera, and without a late
-//! one once another camera's queue exceeds the limit. Replays that must not skip frames wait for
-//! each other, so that their results are reproducible.
+//! Only frames that still lack the frames of other cameras wait here, at most
+//! [`MOST_WAITING_FRAMES`] of each camera. A live camera never waits: frame sets are made without a
+//! lost camera, and without a late one once another camera's queue exceeds the limit. Replays that
+//! must not skip frames wait for each other, so that their results are reproducible.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -30,7 +30,7 @@ use crate::pipeline::seen::SeenFrame;
 
 /// How many frames of one camera may wait for those of the others; with more, frame sets are made
 /// without the others. Half a second at 30 frames a second.
-const LIMIT: usize = 16;
+const MOST_WAITING_FRAMES: usize = 16;
 /// The largest time between images of one frame set, in nanoseconds: a little more than the
 /// interval between frames at 30 a second.
 const TOGETHER_NS: i64 = 40_000_000;
@@ -38,7 +38,7 @@ const TOGETHER_NS: i64 = 40_000_000;
 /// nanoseconds.
 const SAME_TIME_NS: i64 = 500_000;
 /// How long a replay waits for another camera.
-const PATIENCE: Duration = Duration::from_secs(5);
+const REPLAY_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Combines the frames of a session's cameras.
 #[derive(Debug)]
@@ -213,9 +213,9 @@ impl Assembly {
             queues = unpoisoned(self.changed.wait(queues));
         }
         let full = |queues: &mut Queues| {
-            queues.open_queue(place).is_some_and(|queue| queue.frames.len() >= LIMIT)
+            queues.open_queue(place).is_some_and(|queue| queue.frames.len() >= MOST_WAITING_FRAMES)
         };
-        let waited = self.changed.wait_timeout_while(queues, PATIENCE, full);
+        let waited = self.changed.wait_timeout_while(queues, REPLAY_TIMEOUT, full);
         unpoisoned(waited).0
     }
 
@@ -292,7 +292,7 @@ impl Queues {
     /// The oldest waiting frame, with the frame of each other camera that was taken at the same
     /// time.
     fn take_frame_set(&mut self) -> Option<Vec<Option<SeenFrame>>> {
-        let is_full = self.cameras.iter().any(|queue| queue.frames.len() > LIMIT);
+        let is_full = self.cameras.iter().any(|queue| queue.frames.len() > MOST_WAITING_FRAMES);
         if !is_full && self.cameras.iter().any(CameraQueue::is_waited_for) {
             return None;
         }

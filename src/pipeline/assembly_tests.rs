@@ -114,13 +114,13 @@ fn a_stalled_camera_holds_nobody_up_and_nothing_piles_up() {
         let mut meeting = meeting(2);
         for k in 0..500 {
             assert!(meeting.assembly.put(0, seen(33 * k, false)));
-            assert!(meeting.waiting()[0] <= LIMIT, "frame {k}");
+            assert!(meeting.waiting()[0] <= MOST_WAITING_FRAMES, "frame {k}");
         }
-        assert_eq!(meeting.times().len(), 500 - LIMIT);
-        assert_eq!(meeting.counted("false"), 500 - LIMIT as u64);
+        assert_eq!(meeting.times().len(), 500 - MOST_WAITING_FRAMES);
+        assert_eq!(meeting.counted("false"), 500 - MOST_WAITING_FRAMES as u64);
         // A camera known to be lost is not waited for.
         meeting.assembly.lost(1, "unplugged");
-        assert_eq!((meeting.times().len(), meeting.waiting()[0]), (LIMIT, 0));
+        assert_eq!((meeting.times().len(), meeting.waiting()[0]), (MOST_WAITING_FRAMES, 0));
         meeting.assembly.put(0, seen(33 * 500, false));
         assert_eq!(meeting.times(), [[Some(33 * 500), None]]);
         meeting.assembly.back(1);
@@ -243,7 +243,7 @@ fn closing_lets_a_replay_go_that_waits_for_a_camera() {
         thread::scope(|scope| {
             // Camera 1 delivers nothing: without a time limit, only closing ends the wait.
             let replay = scope.spawn(|| {
-                (0..LIMIT as i64 + 2).for_each(|k| {
+                (0..MOST_WAITING_FRAMES as i64 + 2).for_each(|k| {
                     meeting.assembly.put(0, seen(33 * k, true));
                 });
             });

@@ -177,9 +177,9 @@ impl CalibrationEvent {
 }
 
 /// How many of the events that come with every frame are kept in memory.
-const FREQUENT_KEPT: usize = 512;
+const FREQUENT_EVENTS_KEPT: usize = 512;
 /// How many of all other events are kept in memory.
-const LASTING_KEPT: usize = 2048;
+const LASTING_EVENTS_KEPT: usize = 2048;
 
 /// Numbers events, keeps the last of them, and wakes the listeners. A listener that falls behind
 /// what is kept misses events, and blocks nobody.
@@ -213,9 +213,9 @@ impl EventLog {
         let frequent = kind.is_frequent();
         let event = Arc::new(Event { id, camera: camera.to_owned(), kind });
         let (ring, limit) = if frequent {
-            (&mut rings.frequent, FREQUENT_KEPT)
+            (&mut rings.frequent, FREQUENT_EVENTS_KEPT)
         } else {
-            (&mut rings.lasting, LASTING_KEPT)
+            (&mut rings.lasting, LASTING_EVENTS_KEPT)
         };
         if ring.len() == limit {
             ring.pop_front();
@@ -360,7 +360,7 @@ mod tests {
         log.publish("front", camera());
         (0..10_000).for_each(|sequence| log.publish("front", frame(sequence)));
         let remembered = ids(&mut log.follow(Some(0)));
-        assert_eq!(remembered.len(), 1 + FREQUENT_KEPT);
+        assert_eq!(remembered.len(), 1 + FREQUENT_EVENTS_KEPT);
         assert_eq!(remembered[0], 1);
         assert!(remembered.is_sorted());
     }

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-const WINDOW: Duration = Duration::from_secs(1);
+const AVERAGED_OVER: Duration = Duration::from_secs(1);
 
 /// The arrival times of the newest frames.
 #[derive(Debug, Default)]
@@ -16,7 +16,7 @@ impl FrameRate {
     pub(super) fn count(&mut self, now: Instant) -> Option<f64> {
         self.arrivals.push_back(now);
         // Two are kept even if they are old: a slow camera has a rate too.
-        while self.arrivals.len() > 2 && now.duration_since(self.arrivals[0]) > WINDOW {
+        while self.arrivals.len() > 2 && now.duration_since(self.arrivals[0]) > AVERAGED_OVER {
             self.arrivals.pop_front();
         }
         let span_s = now.duration_since(self.arrivals[0]).as_secs_f64();

@@ -17,7 +17,7 @@ use crate::recording::{McapWriter, RecordingError};
 use crate::store::error::StoreError;
 
 /// The most frame sets that wait for the disk; further ones are dropped.
-const QUEUE: usize = 64;
+const QUEUED_FRAME_SETS: usize = 64;
 
 /// What a recording may still write after it has been asked to end: the chunk in memory, of about a
 /// megabyte, and the index.
@@ -143,7 +143,7 @@ impl RecorderLink {
         };
         recording_notes::write(&status).map_err(|e| failed(e.to_string()))?;
         let shown = Arc::new(Mutex::new(status.clone()));
-        let (frames, waiting) = sync_channel(QUEUE);
+        let (frames, waiting) = sync_channel(QUEUED_FRAME_SETS);
         let (written, factory) = (Arc::clone(&shown), Arc::clone(factory));
         let thread = std::thread::Builder::new()
             .name(format!("record-{camera}"))

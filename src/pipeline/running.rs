@@ -83,7 +83,7 @@ impl Default for FleetOptions {
 }
 
 /// Frame sets on their way to the session thread; a longer queue would only add delay.
-const QUEUE: usize = 4;
+const QUEUED_FRAME_SETS: usize = 4;
 /// How long threads may take to end.
 const STOP_TIMEOUT: Duration = Duration::from_millis(700);
 /// How often it is checked whether they have.
@@ -132,7 +132,7 @@ pub(super) fn start_camera(
     options: &FleetOptions,
 ) -> Result<RunningCamera, FleetError> {
     let CameraPlan { name, kind, image_source, open, may_stall } = plan;
-    let (messages, received) = mpsc::channel(QUEUE);
+    let (messages, received) = mpsc::channel(QUEUED_FRAME_SETS);
     let camera = Arc::new(live_camera(&name, &kind, image_source, messages.clone(), shared)?);
     let instrument = Instrument {
         calibration: watch::Sender::new(camera.status.borrow().calibration.clone()),
@@ -203,7 +203,7 @@ pub(super) fn start_rig(
     shared: &SharedParts,
     options: &FleetOptions,
 ) -> Result<RunningInstrument, FleetError> {
-    let (messages, received) = mpsc::channel(QUEUE);
+    let (messages, received) = mpsc::channel(QUEUED_FRAME_SETS);
     let instrument = Instrument {
         calibration: watch::Sender::new(shared.store.current_calibration_id(&name)?),
         approving: Mutex::default(),

@@ -8,7 +8,7 @@ const FRAMES_MISSED: u32 = 3;
 
 /// A longer interval between frames counts as this one, so that no source is waited for too long.
 /// Chosen, not swept.
-const SLOWEST: Duration = Duration::from_secs(10);
+const LONGEST_INTERVAL: Duration = Duration::from_secs(10);
 
 /// How long a source has been silent now, and was before its last frames.
 #[derive(Debug, Default)]
@@ -52,7 +52,7 @@ impl Silence {
         let limit = if self.delivered { stall } else { first_frame };
         let five_frames = fps.map(|fps| Duration::from_secs_f64(5.0 / fps.max(1e-3)));
         // The shorter of both, so that a single stall is not taken for the frame interval.
-        let pace = self.before_frames[0].min(self.before_frames[1]).min(SLOWEST);
+        let pace = self.before_frames[0].min(self.before_frames[1]).min(LONGEST_INTERVAL);
         let limit = limit.max(five_frames.unwrap_or(FRAMES_MISSED * pace));
         (self.now >= limit).then_some(self.now)
     }

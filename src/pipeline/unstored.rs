@@ -10,7 +10,7 @@ use crate::pipeline::message::SeenFrameSet;
 use crate::store::{Picture, SensorView};
 
 /// Time between two attempts.
-const RETRY: Duration = Duration::from_secs(1);
+const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
 /// What could not be stored, and is retried.
 #[derive(Debug)]
@@ -56,10 +56,10 @@ impl Unstored {
         Self::new(UnstoredWork::Views(Box::new(KeptFrameSet { views, seen, observed })))
     }
 
-    /// Storing failed for `reason`; the next attempt is after [`RETRY`].
+    /// Storing failed for `reason`; the next attempt is after [`RETRY_INTERVAL`].
     pub(super) fn failed(&mut self, reason: &str) {
         reason.clone_into(&mut self.reason);
-        self.retry_at = Instant::now() + RETRY;
+        self.retry_at = Instant::now() + RETRY_INTERVAL;
     }
 
     /// Adds actions to perform once it has been stored.

@@ -4,18 +4,18 @@
 use std::io::{BufReader, Read};
 
 /// What a small file may unpack to in all: two frames of 4K in color.
-const UNPACKED_AT_LEAST: u64 = 48 << 20;
+const LEAST_UNPACKED_BYTES: u64 = 48 << 20;
 /// How much larger than the file its content may be beyond that. Frames of a sensor have noise:
 /// they shrink tenfold, and rendered ones a hundredfold.
 const LARGEST_RATIO: u64 = 1000;
 
 /// What a small file may unpack to in records.
-const RECORDS_AT_LEAST: u64 = 100_000;
+const LEAST_RECORDS: u64 = 100_000;
 /// Bytes of the file that each record beyond that must have taken: ten times fewer than the
 /// smallest message does when it is compressed well.
 const LEAST_BYTES_PER_RECORD: u64 = 2;
 /// What is unpacked at once.
-const READ_AHEAD: usize = 64 << 10;
+const READ_AHEAD_BYTES: usize = 64 << 10;
 
 /// How much may still be unpacked from a file.
 #[derive(Debug, Clone, Copy)]
@@ -28,8 +28,8 @@ impl UnpackBudget {
     /// Of a file of `length` bytes.
     pub(super) fn of_file(length: u64) -> Self {
         Self {
-            left: UNPACKED_AT_LEAST.saturating_add(length.saturating_mul(LARGEST_RATIO)),
-            records: RECORDS_AT_LEAST + length / LEAST_BYTES_PER_RECORD,
+            left: LEAST_UNPACKED_BYTES.saturating_add(length.saturating_mul(LARGEST_RATIO)),
+            records: LEAST_RECORDS + length / LEAST_BYTES_PER_RECORD,
         }
     }
 
@@ -86,7 +86,7 @@ impl Compression {
             Self::Lz4 => Box::new(lz4_flex::frame::FrameDecoder::new(BufReader::new(packed))),
             Self::Bzip2 => Box::new(bzip2::read::BzDecoder::new(packed)),
         };
-        Ok(Box::new(BufReader::with_capacity(READ_AHEAD, unpacked)))
+        Ok(Box::new(BufReader::with_capacity(READ_AHEAD_BYTES, unpacked)))
     }
 }
 

@@ -17,9 +17,9 @@ use crate::store::upgrades;
 
 /// The largest gap between readable rows in which every row number is tried, in rows: a page holds
 /// far fewer; a larger gap means that the row numbers themselves are damaged.
-const LARGEST_GAP: i64 = 100_000;
+const LARGEST_ROW_GAP: i64 = 100_000;
 /// The size of a page, in bytes: SQLite's default, which no store changes.
-const PAGE: usize = 4096;
+const PAGE_BYTES: usize = 4096;
 
 /// The position of the number of pages in the header, big-endian (SQLite's file format, 1.3).
 const PAGE_COUNT_AT: u64 = 28;
@@ -55,8 +55,8 @@ pub(super) fn keep_first_page(connection: &Connection, path: &Path) {
     let copy = || {
         // The latest writes may still be in the log beside the database.
         let _ = connection.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |_| Ok(()));
-        let mut page = Vec::with_capacity(PAGE);
-        fs::File::open(path)?.take(PAGE as u64).read_to_end(&mut page)?;
+        let mut page = Vec::with_capacity(PAGE_BYTES);
+        fs::File::open(path)?.take(PAGE_BYTES as u64).read_to_end(&mut page)?;
         let kept = first_page_of(path);
         if fs::read(&kept).ok().as_ref() != Some(&page) {
             fs::write(kept, page)?;
@@ -147,7 +147,7 @@ fn with_first_page(path: &Path, page: &[u8]) -> Result<TempDir, std::io::Error> 
         }
     }
     let mut file = fs::File::options().write(true).open(&copy)?;
-    let pages = u32::try_from(file.metadata()?.len() / PAGE as u64).unwrap_or(u32::MAX);
+    let pages = u32::try_from(file.metadata()?.len() / PAGE_BYTES as u64).unwrap_or(u32::MAX);
     file.write_all(page)?;
     // The database has grown since the first page was copied.
     file.seek(SeekFrom::Start(PAGE_COUNT_AT))?;
@@ -212,7 +212,7 @@ impl<'a> TableCopy<'a> {
             return;
         };
         let start = if below == i64::MIN { 1.min(above) } else { below + 1 };
-        if above - start > LARGEST_GAP {
+        if above - start > LARGEST_ROW_GAP {
             self.unread.push((start, above - 1));
             return;
         }
@@ -359,7 +359,7 @@ mod tests {
         let (mut unserved, mut refused) = (0, 0);
         for place in 0..PLACES {
             // One place in ten lies in the first page, where the schema is.
-            let end = if place % 10 == 0 { PAGE } else { whole.len() };
+            let end = if place % 10 == 0 { PAGE_BYTES } else { whole.len() };
             let at = random.random_range(0..end);
             let damaged = tempfile::tempdir().unwrap();
             let mut bytes = whole.clone();
@@ -409,7 +409,7 @@ mod tests {
         }
         let path = killed.path().join("plumb.sqlite");
         let mut bytes = fs::read(&path).unwrap();
-        bytes[..PAGE].fill(0x5a);
+        bytes[..PAGE_BYTES].fill(0x5a);
         fs::write(&path, bytes).unwrap();
         let (repaired, report) = Store::open_or_repair(killed.path(), 0).unwrap();
         assert_eq!(served(&repaired), served(&store), "{report:?}");

@@ -113,15 +113,15 @@ pub(super) struct ImagePairs {
 
 /// The number of strongest features of each image that are matched first, to skip pairs that share
 /// nothing.
-const PREVIEWED: usize = 600;
+const PREVIEWED_FEATURES: usize = 600;
 
 /// Two images between which nothing moved are of one view if at least this fraction of the features
 /// of the image with fewer features stayed. With less, only what is written into the images stayed.
-const SAME_PART: f64 = 0.2;
+const SAME_VIEW_FRACTION: f64 = 0.2;
 
 /// Pairs with fewer preliminary matches are skipped unless they are neighbors: as many arise by
 /// chance.
-const LEAST_PREVIEWED: usize = 6;
+const LEAST_PREVIEW_MATCHES: usize = 6;
 
 /// Matches and verifies all pairs of `images` with `threads` threads. Stops early once `interrupt`
 /// is requested.
@@ -133,7 +133,7 @@ pub(super) fn correspond(
 ) -> ImagePairs {
     let tables: Vec<DescriptorTable> = images.iter().map(|image| image.table(usize::MAX)).collect();
     let previews: Vec<DescriptorTable> =
-        images.iter().map(|image| image.table(PREVIEWED)).collect();
+        images.iter().map(|image| image.table(PREVIEWED_FEATURES)).collect();
     let pairs: Vec<(usize, usize)> =
         (0..images.len()).flat_map(|i| (i + 1..images.len()).map(move |j| (i, j))).collect();
     let compared = in_parallel(&pairs, threads, |(i, j)| {
@@ -142,7 +142,7 @@ pub(super) fn correspond(
             return (None, None);
         }
         let preview = match_descriptors(&previews[*i], &previews[*j]);
-        if preview.len() < LEAST_PREVIEWED && !is_neighbor {
+        if preview.len() < LEAST_PREVIEW_MATCHES && !is_neighbor {
             return (None, None);
         }
         let Comparison { matches, repeated } = compare_descriptors(&tables[*i], &tables[*j]);
@@ -226,7 +226,7 @@ pub(super) fn scene_geometry(
 /// count of the image that has fewer.
 pub(super) fn is_one_view(geometry: &TwoViewGeometry, features: usize) -> bool {
     let stayed = geometry.inliers.len() as f64;
-    geometry.kind == TwoViewKind::Still && stayed >= SAME_PART * features as f64
+    geometry.kind == TwoViewKind::Still && stayed >= SAME_VIEW_FRACTION * features as f64
 }
 
 fn fewer_features(first: &SceneImage, second: &SceneImage) -> usize {

@@ -11,24 +11,25 @@ use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 
 /// Prior probability that images with a camera's aspect ratio are crops.
-const KNOWN_SHAPE: f64 = 0.03;
+const KNOWN_ASPECT_PRIOR: f64 = 0.03;
 /// The same for another aspect ratio: some sensors have one, but most such images were cropped or
 /// rectified.
-const OTHER_SHAPE: f64 = 0.5;
+const OTHER_ASPECT_PRIOR: f64 = 0.5;
 
 /// Aspect ratios (width over height) of sensors and of their readout modes.
-const SHAPES: [f64; 8] =
+const SENSOR_ASPECTS: [f64; 8] =
     [1.0, 5.0 / 4.0, 4.0 / 3.0, 3.0 / 2.0, 752.0 / 480.0, 16.0 / 10.0, 16.0 / 9.0, 17.0 / 9.0];
 /// Aspect ratios that differ by less are the same (relative difference): 4256 × 2832 is called 3:2
 /// and 848 × 480 16:9, and the heights of reduced images are rounded.
-const SAME_SHAPE: f64 = 0.0065;
+const ASPECT_TOLERANCE: f64 = 0.0065;
 
 /// The prior probability that images of `size` are crops.
 fn cropped_beforehand(size: ImageSize) -> f64 {
     let (long, short) = (size.width.max(size.height), size.width.min(size.height).max(1));
     let shape = f64::from(long) / f64::from(short);
-    let is_known = SHAPES.iter().any(|known| (shape / known - 1.0).abs() < SAME_SHAPE);
-    if is_known { KNOWN_SHAPE } else { OTHER_SHAPE }
+    let is_known =
+        SENSOR_ASPECTS.iter().any(|known| (shape / known - 1.0).abs() < ASPECT_TOLERANCE);
+    if is_known { KNOWN_ASPECT_PRIOR } else { OTHER_ASPECT_PRIOR }
 }
 
 /// The fit under the prior of whole images, `whole`, averaged with the fit under the prior of

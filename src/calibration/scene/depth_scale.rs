@@ -86,12 +86,12 @@ pub enum NoScale {
 
 /// Readings on each side of a pixel that its plane is fitted to, in pixels: five by five are enough
 /// to show a depth edge and to average noise, and few enough to lie on one surface.
-const AROUND: usize = 2;
+const MARGIN_PX: usize = 2;
 /// The least number of valid readings that a plane is fitted to, of the 25.
-const LEAST_AROUND: usize = 17;
+const LEAST_PLANE_READINGS: usize = 17;
 /// Readings whose root mean square distance from their plane exceeds this fraction of the depth are
 /// not on one surface: a step of a tenth leaves a fortieth.
-const OFF_PLANE: f64 = 0.025;
+const LARGEST_PLANE_RMS: f64 = 0.025;
 /// Points whose relative standard deviation of depth is greater than this are skipped: nearly
 /// parallel rays hardly determine where they meet.
 const LARGEST_POINT_STD: f64 = 0.1;
@@ -112,12 +112,12 @@ const PLAUSIBLE_M: [f64; 2] = [0.03, 100.0];
 /// hundredth of the depth, so each round divides the error by about a hundred.
 const MOST_ROUNDS: usize = 8;
 /// The alternation ends once the logarithm of the scale changes by less.
-const SAME: f64 = 1e-6;
+const SETTLED_LOG_SCALE: f64 = 1e-6;
 /// The relative standard deviation of a depth camera's own scale: cameras are sold as within 2 %,
 /// which is two of these.
 const OWN_SCALE_STD: f64 = 0.01;
 /// Regions along each side of the depth image; the depth error is about constant within one.
-const REGIONS: usize = 4;
+const REGIONS_PER_SIDE: usize = 4;
 
 impl SceneCalibration {
     /// The calibration with lengths in meters, if `depth` gives the scale; if not, the verdict gets
@@ -161,7 +161,7 @@ fn scale_of(scene: &SceneCalibration, depth: &SceneDepth) -> Result<(f64, SceneS
             break;
         };
         unit_m = Some(unit_m.unwrap_or(1.0) * f64::exp(step));
-        if step.abs() < SAME {
+        if step.abs() < SETTLED_LOG_SCALE {
             break;
         }
     }
@@ -215,16 +215,20 @@ impl SceneDepthCamera {
     /// The surface at `pixel`; `None` where the readings do not lie on one surface.
     fn surface(&self, image: &DepthImage, pixel: Pixel) -> Option<Surface> {
         let ImageSize { width, height } = self.camera.image_size;
-        let margin = AROUND as f64;
+        let margin = MARGIN_PX as f64;
         let inside = |at: f64, length: u32| at >= margin && at < f64::from(length) - 1.0 - margin;
         if !inside(pixel.x, width) || !inside(pixel.y, height) {
             return None;
         }
         let (column, row) = (pixel.x.round() as usize, pixel.y.round() as usize);
         let mut samples: Vec<(Vector3<f64>, f64)> = Vec::new();
-        for y in row - AROUND..=row + AROUND {
-            for (x, reading) in
-                image.row(y).iter().enumerate().take(column + AROUND + 1).skip(column - AROUND)
+        for y in row - MARGIN_PX..=row + MARGIN_PX {
+            for (x, reading) in image
+                .row(y)
+                .iter()
+                .enumerate()
+                .take(column + MARGIN_PX + 1)
+                .skip(column - MARGIN_PX)
             {
                 let at = Pixel::new(x as f64, y as f64);
                 if let Some(inverse) = self.reading(at, *reading) {
@@ -232,7 +236,7 @@ impl SceneDepthCamera {
                 }
             }
         }
-        (samples.len() >= LEAST_AROUND).then(|| on_plane(&samples)).flatten()
+        (samples.len() >= LEAST_PLANE_READINGS).then(|| on_plane(&samples)).flatten()
     }
 
     fn reading(&self, pixel: Pixel, reading: u16) -> Option<f64> {
@@ -264,7 +268,7 @@ fn on_plane(samples: &[(Vector3<f64>, f64)]) -> Option<Surface> {
     let rms = (samples.iter().map(square).sum::<f64>() / count).sqrt();
     let inverse_depth = plane[0];
     let relative_std = rms / (count.sqrt() * inverse_depth);
-    (inverse_depth > 0.0 && rms <= OFF_PLANE * inverse_depth)
+    (inverse_depth > 0.0 && rms <= LARGEST_PLANE_RMS * inverse_depth)
         .then_some(Surface { inverse_depth, relative_std })
 }
 
@@ -326,8 +330,9 @@ impl DepthComparison<'_> {
         let pixel = self.camera.camera.lens.pixel_from_point(&in_depth)?;
         let Surface { inverse_depth, relative_std } = self.camera.surface(image, pixel)?;
         let ImageSize { width, height } = self.camera.camera.image_size;
-        let part = |at: f64, length: u32| (at / f64::from(length) * REGIONS as f64) as usize;
-        let region = part(pixel.y, height) * REGIONS + part(pixel.x, width);
+        let part =
+            |at: f64, length: u32| (at / f64::from(length) * REGIONS_PER_SIDE as f64) as usize;
+        let region = part(pixel.y, height) * REGIONS_PER_SIDE + part(pixel.x, width);
         let log_ratio = -(inverse_depth * in_depth.z).ln();
         let depth_m = 1.0 / inverse_depth;
         (in_depth.z > 0.0).then_some(ComparedDepth { log_ratio, relative_std, depth_m, region })

@@ -23,25 +23,25 @@ pub const MOST_KEY_FRAMES: usize = 30;
 pub const LEAST_FEATURES: usize = 60;
 
 /// The strongest features of two images, which decide whether to keep one of them.
-const COMPARED: usize = 800;
+const COMPARED_FEATURES: usize = 800;
 /// The strongest features of an image by which the most similar key frame is found.
-const PREVIEWED: usize = 250;
+const PREVIEWED_FEATURES: usize = 250;
 /// As many preliminary matches agree by chance.
-const LEAST_PREVIEWED: usize = 4;
+const LEAST_PREVIEW_MATCHES: usize = 4;
 /// The most key frames that an image is compared with beside the last one.
-const MOST_TRIED: usize = 4;
+const MOST_COMPARED_FRAMES: usize = 4;
 
 /// New ground: the image has moved by this part of its diagonal in the median. A step sideways by a
 /// tenth of the distance to the scene moves it by a tenth of the focal length, which is 0.8
 /// diagonals of an ordinary lens.
-const DISPLACED: f64 = 0.08;
+const STEP_DIAGONALS: f64 = 0.08;
 /// Parallax: matches are this part of the diagonal away from where one plane would have them, in
 /// the median. Half as much depth as distance gives a quarter of the displacement.
-const PARALLAX: f64 = 0.02;
+const PARALLAX_DIAGONALS: f64 = 0.02;
 /// A camera that moved by less than this part of a key frame's step stands still in a hand, whatever
 /// is not found again: blur, noise and what moves in front of it lose features as well. Chosen, not
 /// swept.
-const HELD_STILL: f64 = 0.1;
+const STILL_STEP_FRACTION: f64 = 0.1;
 
 /// A frame that a session keeps.
 #[derive(Debug, Clone, PartialEq)]
@@ -78,7 +78,7 @@ pub fn admit_key_frame(
     // Back where it was before, or seen from there for the first time after a gap. An image that
     // shows nothing of the last key frame may show something of another.
     let mut similar = most_similar_first(image, kept);
-    similar.truncate(if from_last.is_some() { 1 } else { MOST_TRIED });
+    similar.truncate(if from_last.is_some() { 1 } else { MOST_COMPARED_FRAMES });
     similar.retain(|key| key.number != last.number);
     let step = |key: &KeyFrame| Some((key.number, KeyFrameStep::between(&key.image, image)?));
     match similar.into_iter().find_map(step) {
@@ -103,11 +103,12 @@ pub fn shared_points(key_frame: &SceneImage, image: &SceneImage) -> Vec<PointPai
 
 /// How many features of the image that has fewer are compared.
 fn compared_features(first: &SceneImage, second: &SceneImage) -> usize {
-    first.feature_count().min(second.feature_count()).min(COMPARED)
+    first.feature_count().min(second.feature_count()).min(COMPARED_FEATURES)
 }
 
 fn strongest_matches(first: &SceneImage, second: &SceneImage) -> Vec<PointPair> {
-    let matches = match_descriptors(&first.table(COMPARED), &second.table(COMPARED));
+    let matches =
+        match_descriptors(&first.table(COMPARED_FEATURES), &second.table(COMPARED_FEATURES));
     matches.iter().map(|pair| point_pair(first, second, *pair)).collect()
 }
 
@@ -133,8 +134,8 @@ impl KeyFrameStep {
             return is_one_view(&geometry, features).then_some(step);
         }
         let diagonal_px = second.size.diagonal_px();
-        let motion = geometry.displacement_px / (DISPLACED * diagonal_px)
-            + parallax_px(&geometry, &pairs) / (PARALLAX * diagonal_px);
+        let motion = geometry.displacement_px / (STEP_DIAGONALS * diagonal_px)
+            + parallax_px(&geometry, &pairs) / (PARALLAX_DIAGONALS * diagonal_px);
         let lost = (1.0 - geometry.inliers.len() as f64 / features.max(1) as f64).max(0.0);
         Some(Self { motion, lost })
     }
@@ -142,7 +143,7 @@ impl KeyFrameStep {
     /// Refuses a step from key frame `view` that is too small.
     fn check(&self, view: u32) -> Result<(), Rejection> {
         let Self { motion, lost } = *self;
-        if motion < HELD_STILL {
+        if motion < STILL_STEP_FRACTION {
             Err(Rejection::TooSimilar { view })
         } else if motion + lost >= 1.0 {
             Ok(())
@@ -164,13 +165,13 @@ fn parallax_px(geometry: &TwoViewGeometry, pairs: &[PointPair]) -> f64 {
 /// The key frames that may share something with `image`, by how many of their strongest features
 /// it shares, the most first.
 fn most_similar_first<'a>(image: &SceneImage, kept: &'a [KeyFrame]) -> Vec<&'a KeyFrame> {
-    let table = image.table(PREVIEWED);
+    let table = image.table(PREVIEWED_FEATURES);
     let shared = |key: &KeyFrame| {
-        let matches = match_descriptors(&key.image.table(PREVIEWED), &table).len();
+        let matches = match_descriptors(&key.image.table(PREVIEWED_FEATURES), &table).len();
         (matches, key.number)
     };
     let mut similar: Vec<_> = kept.iter().map(|key| (shared(key), key)).collect();
-    similar.retain(|((matches, _), _)| *matches >= LEAST_PREVIEWED);
+    similar.retain(|((matches, _), _)| *matches >= LEAST_PREVIEW_MATCHES);
     similar.sort_by_key(|(shared, _)| std::cmp::Reverse(*shared));
     similar.into_iter().map(|(_, key)| key).collect()
 }

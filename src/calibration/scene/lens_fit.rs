@@ -18,7 +18,7 @@ const MOST_COEFFICIENTS: usize = 5;
 /// A larger model is taken if it lowers the cost by more than this, per parameter, in squared
 /// standard deviations that count how observations err together: of models that are no better one
 /// in 500.
-const WORTH: f64 = 6.0;
+const LEAST_GAIN_PER_PARAMETER: f64 = 6.0;
 
 /// Fits a lens according to `choice`.
 pub(super) fn fit_lens(
@@ -76,7 +76,7 @@ fn choose(start: &Reconstruction, given: &[GivenParameter]) -> Result<LensFit, S
             let extra =
                 fits[large].fit.bundle.free.len() as f64 - fits[small].fit.bundle.free.len() as f64;
             let gain = costs[small] - costs[large];
-            gain > WORTH * extra.max(1.0)
+            gain > LEAST_GAIN_PER_PARAMETER * extra.max(1.0)
         })
     };
     let chosen = (0..fits.len()).find(|k| !is_beaten(*k)).unwrap_or(0);

@@ -16,13 +16,13 @@ use crate::geometry::pixel::Pixel;
 use crate::geometry::pose::Pose;
 
 /// Samples along each side of a patch.
-const SAMPLES: usize = 11;
+const SAMPLES_PER_SIDE: usize = 11;
 /// Half the side of a patch, in keypoint scales: about what the inner cells of a descriptor cover.
 const RADIUS_SCALES: f64 = 3.0;
 /// Bounds of half the side of a patch, in pixels of the sampled image.
 const RADIUS_PX: [f64; 2] = [4.0, 12.0];
 /// The greatest number of steps of the fit.
-const STEPS: usize = 10;
+const MOST_STEPS: usize = 10;
 /// The fit ends once no view moves by more, in pixels.
 const SETTLED_PX: f64 = 0.01;
 /// The longest step of a view, in pixels.
@@ -31,7 +31,7 @@ const LONGEST_STEP_PX: f64 = 1.0;
 const LEAST_CORRELATION: f64 = 0.85;
 /// The match may be this far from the keypoint: the first in pixels, plus the second times its
 /// scale.
-const FARTHEST: [f64; 2] = [0.5, 0.5];
+const FARTHEST_PX_AND_SCALES: [f64; 2] = [0.5, 0.5];
 /// Standard deviation of the prior on a surface's slope, as the tangent of the angle to the image.
 const SLOPE_STD: f64 = 1.5;
 /// Standard deviation of luma, of 255, against which that prior is weighted; patches with less
@@ -79,7 +79,7 @@ fn located(
         })
         .collect();
     let mut slope = Vector2::zeros();
-    for _ in 0..STEPS {
+    for _ in 0..MOST_STEPS {
         let (step, step_px) = reference_patch.step(&mut views, &state.lens, slope);
         slope += step;
         if step_px < SETTLED_PX {
@@ -93,7 +93,7 @@ fn located(
         let Some((pixel, std_px)) = view.found(&reference_patch, &state.lens, slope) else {
             continue;
         };
-        let farthest_px = FARTHEST[0] + FARTHEST[1] * seen.scale_px;
+        let farthest_px = FARTHEST_PX_AND_SCALES[0] + FARTHEST_PX_AND_SCALES[1] * seen.scale_px;
         let is_better = std_px * seen.inverse_std < 1.0;
         if is_better && pixel.distance_px(seen.pixel) <= farthest_px {
             *at = Some((pixel, std_px));
@@ -127,7 +127,7 @@ struct ReferencePatch {
     /// The inverse depth of the patch's center.
     inverse_depth: f64,
     /// Luma at the samples, row by row, its mean 0 and its mean square 1.
-    luma: [f64; SAMPLES * SAMPLES],
+    luma: [f64; SAMPLES_PER_SIDE * SAMPLES_PER_SIDE],
     /// The number of samples per pixel, at least 1: samples closer than a pixel are not
     /// independent.
     independent: f64,
@@ -135,19 +135,19 @@ struct ReferencePatch {
 
 /// The position of sample `k` along a side, -1 to 1.
 fn side(k: usize) -> f64 {
-    2.0 * k as f64 / (SAMPLES - 1) as f64 - 1.0
+    2.0 * k as f64 / (SAMPLES_PER_SIDE - 1) as f64 - 1.0
 }
 
 /// The weight of a row or column of samples: exp(−2 t²), a Gaussian whose σ is half of half the
 /// patch's side.
-const WEIGHTS: [f64; SAMPLES] = [
+const WEIGHTS: [f64; SAMPLES_PER_SIDE] = [
     0.135_335, 0.278_037, 0.486_752, 0.726_149, 0.923_116, 1.0, 0.923_116, 0.726_149, 0.486_752,
     0.278_037, 0.135_335,
 ];
 
 /// The weight of sample `k`.
 fn weight(k: usize) -> f64 {
-    WEIGHTS[k % SAMPLES] * WEIGHTS[k / SAMPLES]
+    WEIGHTS[k % SAMPLES_PER_SIDE] * WEIGHTS[k / SAMPLES_PER_SIDE]
 }
 
 impl ReferencePatch {
@@ -170,16 +170,16 @@ impl ReferencePatch {
             let bearing = state.lens.bearing_from_pixel(pixel)?;
             *place = Point2::new(bearing.x / bearing.z, bearing.y / bearing.z);
         }
-        let mut luma = [0.0; SAMPLES * SAMPLES];
+        let mut luma = [0.0; SAMPLES_PER_SIDE * SAMPLES_PER_SIDE];
         for (k, luma) in luma.iter_mut().enumerate() {
-            *luma = image.sample(at(side(k % SAMPLES), side(k / SAMPLES)))?.value;
+            *luma = image.sample(at(side(k % SAMPLES_PER_SIDE), side(k / SAMPLES_PER_SIDE)))?.value;
         }
         let (mean, std) = mean_and_std(&luma);
         if std < LUMA_STD {
             return None;
         }
         luma.iter_mut().for_each(|luma| *luma = (*luma - mean) / std);
-        let spacing = 2.0 * radius_px / (SAMPLES - 1) as f64 / image.spacing_px();
+        let spacing = 2.0 * radius_px / (SAMPLES_PER_SIDE - 1) as f64 / image.spacing_px();
         let independent = (1.0 / spacing).powi(2).max(1.0);
         let inverse_depth = 1.0 / depth;
         Some(Self { camera_from_scene, places, inverse_depth, luma, independent })
@@ -226,7 +226,7 @@ impl ReferencePatch {
 }
 
 /// The weighted mean and standard deviation of a patch.
-fn mean_and_std(luma: &[f64; SAMPLES * SAMPLES]) -> (f64, f64) {
+fn mean_and_std(luma: &[f64; SAMPLES_PER_SIDE * SAMPLES_PER_SIDE]) -> (f64, f64) {
     let (mut sum, mut squares, mut total) = (0.0, 0.0, 0.0);
     for (k, value) in luma.iter().enumerate() {
         let weight = weight(k);
@@ -307,14 +307,18 @@ impl<'a> MatchedPatch<'a> {
     }
 
     /// Luma and its gradient at each sample.
-    fn samples(&self, warp: &Warp) -> Option<[(f64, Vector2<f64>); SAMPLES * SAMPLES]> {
-        let mut samples = [(0.0, Vector2::zeros()); SAMPLES * SAMPLES];
-        for row in 0..SAMPLES {
+    fn samples(
+        &self,
+        warp: &Warp,
+    ) -> Option<[(f64, Vector2<f64>); SAMPLES_PER_SIDE * SAMPLES_PER_SIDE]> {
+        let mut samples = [(0.0, Vector2::zeros()); SAMPLES_PER_SIDE * SAMPLES_PER_SIDE];
+        for row in 0..SAMPLES_PER_SIDE {
             let along = warp.row(side(row));
-            for column in 0..SAMPLES {
+            for column in 0..SAMPLES_PER_SIDE {
                 let at = parabola(&along, side(column)) + self.offset;
                 let sample = self.image.sample(Pixel::new(at.x, at.y))?;
-                samples[row * SAMPLES + column] = (sample.value, Vector2::from(sample.slope));
+                samples[row * SAMPLES_PER_SIDE + column] =
+                    (sample.value, Vector2::from(sample.slope));
             }
         }
         Some(samples)
@@ -340,7 +344,8 @@ impl<'a> MatchedPatch<'a> {
             let weight = weight(k);
             let residual = value - self.gain * reference_patch.luma[k] - self.level;
             let own = Vector4::new(by_pixel.x, by_pixel.y, -reference_patch.luma[k], -1.0);
-            let from_middle = warp.span[0] * side(k % SAMPLES) + warp.span[1] * side(k / SAMPLES);
+            let from_middle = warp.span[0] * side(k % SAMPLES_PER_SIDE)
+                + warp.span[1] * side(k / SAMPLES_PER_SIDE);
             let by_slope = from_middle * by_pixel.dot(&warp.by_depth);
             e.own += own * own.transpose() * weight;
             e.own_gradient += own * (residual * weight);
@@ -361,7 +366,7 @@ impl<'a> MatchedPatch<'a> {
         slope: Vector2<f64>,
     ) -> Option<(Pixel, f64)> {
         let equations = self.equations(reference_patch, lens, slope)?;
-        let total: f64 = (0..SAMPLES * SAMPLES).map(weight).sum();
+        let total: f64 = (0..SAMPLES_PER_SIDE * SAMPLES_PER_SIDE).map(weight).sum();
         // The reference patch has unit variance, so the gain's square is the explained variance.
         let explained = self.gain * self.gain * total;
         let correlation2 = explained / (explained + equations.residual_squares);

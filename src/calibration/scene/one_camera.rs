@@ -7,10 +7,10 @@ use crate::imaging::stated_camera::StatedCamera;
 
 /// A greater relative difference of focal lengths means that the zoom was moved: files state them
 /// to a hundredth of a millimeter to a whole one.
-const SAME_FOCAL: f64 = 0.01;
+const FOCAL_TOLERANCE: f64 = 0.01;
 /// A greater relative difference of aspect ratios means that an image was cropped: rounding changes
 /// that of an image of 200 pixels by less.
-const SAME_SHAPE: f64 = 0.01;
+const ASPECT_TOLERANCE: f64 = 0.01;
 
 /// Refuses images whose files state different cameras or focal lengths.
 pub(super) fn check_one_camera(images: &[SceneImage]) -> Result<(), SceneRefusal> {
@@ -24,7 +24,7 @@ pub(super) fn check_one_camera(images: &[SceneImage]) -> Result<(), SceneRefusal
         });
     }
     let focals = stated(images, |stated| stated.focal_mm);
-    let is_same = |a: &f64, b: &f64| (a / b - 1.0).abs() <= SAME_FOCAL;
+    let is_same = |a: &f64, b: &f64| (a / b - 1.0).abs() <= FOCAL_TOLERANCE;
     if let Some([(image, focal_mm), (other, expected_mm)]) = odd_one(&focals, is_same) {
         return Err(SceneRefusal::DifferentZoom {
             name: image.name.clone(),
@@ -43,7 +43,7 @@ pub(super) fn states_cropping(images: &[SceneImage]) -> bool {
         width.max(height) / width.min(height).max(1.0)
     };
     let is_other = |(image, written): &(&SceneImage, ImageSize)| {
-        (shape(image.size) / shape(*written) - 1.0).abs() > SAME_SHAPE
+        (shape(image.size) / shape(*written) - 1.0).abs() > ASPECT_TOLERANCE
     };
     stated(images, |stated| stated.image_size).iter().any(is_other)
 }

@@ -29,9 +29,9 @@ const PARALLAX_DEG: f64 = 5.0;
 /// principal point.
 const ROLLED_DEG: f64 = 45.0;
 /// Below this relief the points are nearly in one plane.
-const RELIEF: f64 = 0.02;
+const LEAST_RELIEF: f64 = 0.02;
 /// The part of the image in which a lens should have been seen.
-const COVERED: f64 = 0.7;
+const LEAST_COVERAGE: f64 = 0.7;
 
 const SIDEWAYS: &str = "step sideways, keeping the same scene in view";
 const ROLL: &str = "turn the camera by 90 degrees about its axis";
@@ -74,9 +74,9 @@ fn after(calibration: &SceneCalibration) -> String {
         format!("{SIDEWAYS}: there is little parallax yet")
     } else if rolled_deg < ROLLED_DEG {
         ROLL.to_owned()
-    } else if relief < RELIEF {
+    } else if relief < LEAST_RELIEF {
         format!("{DEPTH}: so far they are nearly in one plane")
-    } else if calibration.checks.coverage < COVERED {
+    } else if calibration.checks.coverage < LEAST_COVERAGE {
         format!("{TEXTURE} that fills the whole image")
     } else {
         "go on around the scene: each view from a new place makes the result surer".to_owned()

@@ -73,27 +73,27 @@ const ROTATED_DEG: f64 = 15.0;
 const ROTATED_OUTLIERS: f64 = 0.2;
 
 /// The least number of image pairs with an epipolar geometry that a reconstruction starts from.
-const LEAST_GENERAL: usize = 2;
+const LEAST_GENERAL_PAIRS: usize = 2;
 
 /// The images are explained by a rotation if its noise is less than this times that of a motion. Of
 /// rendered worlds, half of them with something that moves, 20 rotations have 1.04 to 1.19 times,
 /// 11 motions 12.9 times and more.
-const AS_WELL: f64 = 2.0;
+const ROTATION_NOISE_RATIO: f64 = 2.0;
 
 /// The limit of Cauchy's loss for that comparison, in standard deviations.
-const ROBUST: f64 = 2.4;
+const ROBUST_LIMIT_SIGMAS: f64 = 2.4;
 
-const COMPARING: BundleStop = BundleStop { max_steps: 10, least_decrease: 1e-3 };
+const COMPARISON_STOP: BundleStop = BundleStop { max_steps: 10, least_decrease: 1e-3 };
 
 /// The texture repeats if more than this fraction of an image's features match several places of
 /// the next image: between what photographs have, 0.27 at most, and what repeats, 0.77 at least.
-const REPEATED: f64 = 0.5;
+const REPEATED_FRACTION: f64 = 0.5;
 
 /// With less parallax than this, in degrees, noise decides on focal length and depth.
 const LEAST_PARALLAX_DEG: f64 = 2.0;
 
 /// A focal length with a greater relative standard deviation is not determined.
-const WORTHLESS: f64 = 0.2;
+const UNDETERMINED_FOCAL_STD: f64 = 0.2;
 
 /// Calibrates from `images` of a static scene by one camera.
 ///
@@ -162,7 +162,7 @@ fn explained(refusal: SceneRefusal, found: &ImagePairs) -> SceneRefusal {
             | SceneRefusal::ForwardMotion { .. }
             | SceneRefusal::FocalUndetermined { .. }
     );
-    if is_of_matches && part > REPEATED {
+    if is_of_matches && part > REPEATED_FRACTION {
         SceneRefusal::RepeatedTexture { percent: 100.0 * part }
     } else {
         refusal
@@ -217,7 +217,7 @@ fn reconstruction(
     let given = options.given.iter().find(|given| given.name == "fx" || given.name == "fy");
     let focal = given.map(|given| given.value);
     let rotating = reconstruct_rotations(&found.problem, &found.homographies);
-    let moving = (found.general.len() >= LEAST_GENERAL)
+    let moving = (found.general.len() >= LEAST_GENERAL_PAIRS)
         .then(|| reconstruct_best(&found.problem, &found.general, focal))
         .flatten();
     match (rotating, moving) {
@@ -235,15 +235,15 @@ fn settle(start: &mut Reconstruction) {
         &mut start.bundle.free,
         vec![Lens::FX, Lens::FY, Lens::CX, Lens::CY, Lens::FIRST_COEFFICIENT],
     );
-    start.bundle.robust_limit = ROBUST * start.bundle.median_noise(&start.state);
-    start.state = start.bundle.minimize(start.state.clone(), COMPARING);
+    start.bundle.robust_limit = ROBUST_LIMIT_SIGMAS * start.bundle.median_noise(&start.state);
+    start.state = start.bundle.minimize(start.state.clone(), COMPARISON_STOP);
     start.bundle.free = free;
 }
 
 /// Whether most pairs of images fit a homography, as one plane or a rotation gives.
 fn is_one_plane(found: &ImagePairs) -> bool {
     let verified = found.general.len() + found.rotated.len();
-    found.general.len() < LEAST_GENERAL || 4 * verified < 5 * found.nearly_planar
+    found.general.len() < LEAST_GENERAL_PAIRS || 4 * verified < 5 * found.nearly_planar
 }
 
 /// Whether a pure rotation explains the images nearly as well: the moving model has translations
@@ -251,12 +251,12 @@ fn is_one_plane(found: &ImagePairs) -> bool {
 fn explains_as_well(rotating: &Reconstruction, moving: &Reconstruction) -> bool {
     let noise = |of: &Reconstruction| {
         let (mut bundle, start) = with_free_distortion(of);
-        bundle.robust_limit = ROBUST * bundle.median_noise(&start);
-        let state = bundle.minimize(start, COMPARING);
+        bundle.robust_limit = ROBUST_LIMIT_SIGMAS * bundle.median_noise(&start);
+        let state = bundle.minimize(start, COMPARISON_STOP);
         bundle.median_noise(&state)
     };
     let is_complete = rotating.images.len() >= moving.images.len();
-    is_complete && noise(rotating) < AS_WELL * noise(moving)
+    is_complete && noise(rotating) < ROTATION_NOISE_RATIO * noise(moving)
 }
 
 /// Refuses a camera that neither translated nor rotated enough.
@@ -296,7 +296,7 @@ fn check_determined(
         return Err(SceneRefusal::HardlyAnyParallax);
     }
     let focal_std = verdict::relative_focal_std(fit);
-    if !(focal_std < WORTHLESS) {
+    if !(focal_std < UNDETERMINED_FOCAL_STD) {
         return Err(SceneRefusal::FocalUndetermined { percent: 100.0 * focal_std });
     }
     Ok(())
@@ -471,14 +471,14 @@ fn coverage(points: &[ScenePoint], size: ImageSize) -> f64 {
 
 /// A parameter is held by its prior if its posterior standard deviation exceeds this fraction of
 /// the prior's.
-const HELD: f64 = 0.67;
+const HELD_STD_RATIO: f64 = 0.67;
 
 fn held_by_prior(lens: &Lens, fit: &LensFit) -> Vec<&'static str> {
     let (model, bundle) = (lens.model(), &fit.fit.bundle);
     let (names, before) = (Lens::parameter_names(model), bundle.prior.std(model));
     let held = bundle.free.iter().enumerate().filter(|(k, parameter)| {
         let after = fit.covariance.independent[(*k, *k)].sqrt();
-        after > HELD * before[**parameter]
+        after > HELD_STD_RATIO * before[**parameter]
     });
     held.map(|(_, parameter)| names[*parameter]).collect()
 }

@@ -13,7 +13,7 @@ use crate::imaging::nominal_focal::NominalFocal;
 const FOCAL_STD: [f64; 2] = [0.002, 0.01];
 /// The same limits for how many times greater the uncertainty is than if the observations' errors
 /// were independent. Residuals that keep half of the errors show half as much.
-const SHARED: [f64; 2] = [6.0, 18.0];
+const SHARED_ERROR_FACTORS: [f64; 2] = [6.0, 18.0];
 /// The same limits for the fraction of outliers.
 const OUTLIERS: [f64; 2] = [0.15, 0.4];
 /// The median parallax, in degrees, below which depth is weak.
@@ -24,7 +24,7 @@ pub(super) const RELIEF: f64 = 0.02;
 const ROLLED_DEG: f64 = 30.0;
 /// A stated focal length that is off by more standard deviations contradicts the estimate: chance
 /// gives one in 370.
-const EXCLUDED: f64 = 3.0;
+const EXCLUDED_SIGMAS: f64 = 3.0;
 
 /// What the verdict rests on.
 pub(super) struct Evidence<'a> {
@@ -103,7 +103,9 @@ fn projections(evidence: &Evidence<'_>) -> Option<Finding> {
 
 fn shared_error(evidence: &Evidence<'_>) -> Option<Finding> {
     let factor = evidence.fit.covariance.shared.sqrt();
-    if evidence.fit.fit.bundle.motion == CameraMotion::RotationOnly && factor > SHARED[0] {
+    if evidence.fit.fit.bundle.motion == CameraMotion::RotationOnly
+        && factor > SHARED_ERROR_FACTORS[0]
+    {
         // Panned by hand 3 and 8 cm before the axis, a camera 3 m from a wall was off by 4 and 5 of
         // its standard deviations: a lens that is too long takes up most of the parallax.
         let reason = format!(
@@ -112,7 +114,7 @@ fn shared_error(evidence: &Evidence<'_>) -> Option<Finding> {
         return Some(Finding { grade: Grade::Poor, reason });
     }
     Finding::worse_than_good(
-        Grade::of_figure(factor, SHARED),
+        Grade::of_figure(factor, SHARED_ERROR_FACTORS),
         format!(
             "observations are off together, which makes the result {factor:.1} times as uncertain as their scatter alone would: try another lens model, and check that the scene is static"
         ),
@@ -151,7 +153,7 @@ fn motion(evidence: &Evidence<'_>) -> Option<Finding> {
 /// length.
 pub(super) fn unfit_focal(nominal: NominalFocal, (fx, std): (f64, f64)) -> Option<String> {
     let NominalFocal { focal_px, std_px } = nominal;
-    let excluded = (fx - focal_px).abs() > EXCLUDED * std.hypot(std_px);
+    let excluded = (fx - focal_px).abs() > EXCLUDED_SIGMAS * std.hypot(std_px);
     excluded.then(|| {
         format!(
             "the EXIF focal length {focal_px:.0} px (± {std_px:.0} by its rounding) does not fit: \

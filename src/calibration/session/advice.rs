@@ -10,7 +10,7 @@ use crate::geometry::pose::Pose;
 
 /// A requested movement stands for at least this time before another one replaces it, in
 /// nanoseconds: the time it takes to hear it and to begin.
-const HEARD_NS: i64 = 800_000_000;
+const LEAST_ADVICE_NS: i64 = 800_000_000;
 /// With fewer views than this, no note says that the goal is out of reach.
 const VIEWS_BEFORE_DOUBT: usize = 8;
 
@@ -69,7 +69,7 @@ impl Advice {
         match &self.said {
             // Without a board in view the last message stands.
             Some((said, at_ns))
-                if now.camera_from_board.is_none() || since_ns(*at_ns) < HEARD_NS =>
+                if now.camera_from_board.is_none() || since_ns(*at_ns) < LEAST_ADVICE_NS =>
             {
                 return said.clone();
             }

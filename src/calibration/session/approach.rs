@@ -8,7 +8,7 @@ use crate::geometry::pose::Pose;
 
 /// A board that reaches the suggested view within this time at its present speed, in seconds, is
 /// waited for (swept: docs/guidance.md).
-const WAITED_S: f64 = 2.0;
+const ARRIVAL_WAIT_S: f64 = 2.0;
 
 /// How far the board was from the suggested view in the previous frame.
 #[derive(Debug, Clone, Copy, Default)]
@@ -41,8 +41,8 @@ impl Approach {
         };
         let elapsed_s = frame.time_ns().saturating_sub(time_ns) as f64 * 1e-9;
         let left = information.effort(here_from_board, there_from_board);
-        // The effort left, at the present speed, takes less than `WAITED_S`.
+        // The effort left, at the present speed, takes less than `ARRIVAL_WAIT_S`.
         let is_one_movement = elapsed_s > 0.0 && elapsed_s < ONE_MOVEMENT_S;
-        is_one_movement && (before - left) * WAITED_S > left * elapsed_s
+        is_one_movement && (before - left) * ARRIVAL_WAIT_S > left * elapsed_s
     }
 }

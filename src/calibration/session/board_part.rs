@@ -32,7 +32,7 @@ const LEAST_VIEWS_FOR_GOAL: u32 = 8;
 
 /// A board within this effort of the suggested view counts as there: a tenth of its distance, or
 /// twelve degrees.
-const ARRIVED: f64 = 0.2;
+const ARRIVED_EFFORT: f64 = 0.2;
 
 /// The information in a view: about color (`None` where no pose explains it), and about depth.
 type AddedInformation = (Option<ViewInformation>, BoardInDepth);
@@ -244,7 +244,8 @@ impl BoardPart {
             return;
         };
         let there = self.requested.as_ref().map(|there| there.camera_from_board);
-        let there = there.filter(|there| information.effort(camera_from_board, there) < ARRIVED);
+        let there =
+            there.filter(|there| information.effort(camera_from_board, there) < ARRIVED_EFFORT);
         let Some(there) = there.filter(|_| self.awaited(frame, camera_from_board).is_none()) else {
             return;
         };

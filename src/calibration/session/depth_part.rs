@@ -44,10 +44,10 @@ pub(super) struct DepthPart {
 
 /// Depth that no model fits after this many views is left to the verdict: a session that waited for
 /// it would never end.
-const GIVEN_UP: usize = 10;
+const GIVEN_UP_VIEWS: usize = 10;
 /// Depth stops counting at this many views. This is a guard: of 31 seeded sessions, 15 of them
 /// begun with three frontal boards, none took more than 11 views with depth (docs/guidance.md).
-const MOST_MEASURED: usize = 40;
+const MOST_DEPTH_VIEWS: usize = 40;
 
 impl DepthPart {
     /// What the depth image shows that was taken with `added`.
@@ -162,8 +162,9 @@ impl DepthPart {
     /// The information in the views about depth, as long as depth counts.
     pub(super) fn counted(&self) -> Option<&DepthCameraInformation> {
         let information = self.information.as_ref()?;
-        let is_fitted = information.uncertainty_px().is_some() || information.measured() < GIVEN_UP;
-        let counts = (1..MOST_MEASURED).contains(&information.measured());
+        let is_fitted =
+            information.uncertainty_px().is_some() || information.measured() < GIVEN_UP_VIEWS;
+        let counts = (1..MOST_DEPTH_VIEWS).contains(&information.measured());
         (counts && is_fitted).then_some(information)
     }
 }

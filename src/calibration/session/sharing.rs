@@ -7,7 +7,7 @@ use crate::calibration::session::camera::CameraPart;
 use crate::calibration::session_record::SessionMember;
 
 /// Shared views that a camera should have before anything else is asked for.
-const WANTED: usize = 6;
+const WANTED_SHARED_VIEWS: usize = 6;
 
 /// A session's cameras with what was kept of them.
 #[derive(Debug, Clone, Copy)]
@@ -36,7 +36,7 @@ impl<'a> Sharing<'a> {
 
     /// The same, if the camera should share more views.
     fn wanted(self, camera: usize) -> Option<Vec<Placement>> {
-        Some(self.placements(camera)).filter(|shared| shared.len() < WANTED)
+        Some(self.placements(camera)).filter(|shared| shared.len() < WANTED_SHARED_VIEWS)
     }
 
     /// Whether the board is held differently than in each of this camera's shared views.
@@ -72,7 +72,9 @@ impl<'a> Sharing<'a> {
 pub(super) fn next_step(members: &[SessionMember], requested: Option<[usize; 2]>) -> String {
     let is_isolated = |(camera, member): &(usize, &SessionMember)| {
         let is_requested = requested.is_some_and(|requested| requested.contains(camera));
-        member.views_kept > 2 && (member.views_shared as usize) < WANTED && !is_requested
+        member.views_kept > 2
+            && (member.views_shared as usize) < WANTED_SHARED_VIEWS
+            && !is_requested
     };
     if let Some((_, isolated)) = members.iter().enumerate().find(is_isolated) {
         return format!(

@@ -9,7 +9,7 @@ use crate::capture::CaptureError;
 
 const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
 /// The bag's first record is padded to this.
-const FIRST_RECORD: u64 = 4096;
+const FIRST_RECORD_BYTES: u64 = 4096;
 
 /// Refuses what is missing, is no bag, or was cut short.
 ///
@@ -22,7 +22,7 @@ pub(super) fn check_bag(path: &Path) -> Result<(), CaptureError> {
     let mut file = File::open(path).map_err(unreadable)?;
     let length = file.metadata().map_err(unreadable)?.len();
     let mut start = Vec::new();
-    file.by_ref().take(FIRST_RECORD).read_to_end(&mut start).map_err(unreadable)?;
+    file.by_ref().take(FIRST_RECORD_BYTES).read_to_end(&mut start).map_err(unreadable)?;
     if !start.starts_with(MAGIC) {
         return Err(failed(
             "not a recording of a RealSense camera: it does not begin as a .bag file does",

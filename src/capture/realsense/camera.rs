@@ -27,7 +27,7 @@ use crate::locks::lock;
 /// Frames a second where none are asked for.
 const DEFAULT_FPS: usize = 30;
 /// Consecutive openings without a frame after which the device is reset.
-const BARREN_LIMIT: u32 = 3;
+const OPENINGS_BEFORE_RESET: u32 = 3;
 
 /// A RealSense camera, which may be unplugged and plugged in again.
 #[derive(Debug)]
@@ -134,10 +134,12 @@ impl RealsenseCamera {
             };
             return Err(lost(format!("it is not plugged in; {others} there")));
         };
-        if self.barren.load(Ordering::Relaxed) >= BARREN_LIMIT {
+        if self.barren.load(Ordering::Relaxed) >= OPENINGS_BEFORE_RESET {
             self.barren.store(0, Ordering::Relaxed);
             devices.swap_remove(at).hardware_reset();
-            return Err(lost(format!("it gave no frame {BARREN_LIMIT} times; it was reset")));
+            return Err(lost(format!(
+                "it gave no frame {OPENINGS_BEFORE_RESET} times; it was reset"
+            )));
         }
         let config =
             self.stream_config(&devices[at], &serial).map_err(|problem| failed(&problem))?;

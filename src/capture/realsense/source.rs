@@ -24,7 +24,7 @@ use crate::imaging::frame::{Frame, FrameSet, PixelFormat};
 use crate::imaging::timestamp::DeviceTime;
 
 /// A recording that has been silent for so long is over: the library does not report its end.
-const END_OF_BAG: Duration = Duration::from_millis(1300);
+const END_OF_BAG_SILENCE: Duration = Duration::from_millis(1300);
 
 /// A started pipeline.
 #[derive(Debug)]
@@ -102,7 +102,7 @@ impl RealsenseSource {
     }
 
     fn silent(&self, timeout: Duration) -> CaptureError {
-        if self.is_bag && self.heard.elapsed() >= END_OF_BAG {
+        if self.is_bag && self.heard.elapsed() >= END_OF_BAG_SILENCE {
             return CaptureError::Ended;
         }
         CaptureError::TimedOut { waited: timeout }

@@ -15,11 +15,11 @@ use crate::recording::CameraMessages;
 /// How long opening waits for a publisher to be discovered: by RTPS each participant announces
 /// itself to a new one at once, and ten times a second is often enough to ask.
 pub(super) const DISCOVERY: Duration = Duration::from_millis(1000);
-const GLANCE: Duration = Duration::from_millis(100);
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
 /// Images that wait to be taken: at 30 a second the reader may be 250 ms late.
-const DEPTH: i32 = 8;
+const IMAGES_HISTORY: i32 = 8;
 /// Transforms that wait: each node's at the start.
-const TRANSFORMS_DEPTH: i32 = 64;
+const TRANSFORMS_HISTORY: i32 = 64;
 const TRANSFORMS: &str = "/tf_static";
 const INFO_TYPE: &str = "sensor_msgs/msg/CameraInfo";
 const TRANSFORMS_TYPE: &str = "tf2_msgs/msg/TFMessage";
@@ -69,11 +69,11 @@ impl Ros2Camera {
             of_type(&name, INFO_TYPE).map(|offered| subscribe(&offered, 1)).transpose()
         });
         let transforms = of_type(TRANSFORMS, TRANSFORMS_TYPE)
-            .map(|offered| subscribe(&offered, TRANSFORMS_DEPTH))
+            .map(|offered| subscribe(&offered, TRANSFORMS_HISTORY))
             .transpose()?;
         let infos = infos.collect::<Result<_, _>>()?;
         let images_read: Result<Vec<TopicReader>, _> =
-            images.iter().map(|image| subscribe(image, DEPTH)).collect();
+            images.iter().map(|image| subscribe(image, IMAGES_HISTORY)).collect();
         let read = Subscriptions { images: images_read?, infos, transforms };
         // Those that were taken when the topic was open before are no images of now.
         read.images.iter().for_each(TopicReader::skip);
@@ -101,7 +101,7 @@ impl Ros2Camera {
                     reason: absence(participant),
                 });
             }
-            thread::sleep(GLANCE);
+            thread::sleep(POLL_INTERVAL);
         }
     }
 }

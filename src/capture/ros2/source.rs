@@ -17,9 +17,9 @@ use crate::imaging::frame::{Frame, FrameSet, SensorKind};
 use crate::recording::CameraMessages;
 
 /// How long opening waits for the driver's camera_info, which comes with each image.
-const STATED: Duration = Duration::from_millis(500);
+const CAMERA_INFO_TIMEOUT: Duration = Duration::from_millis(500);
 /// How often a waiting source asks whether its publishers are still there.
-const GLANCE: Duration = Duration::from_millis(200);
+const POLL_INTERVAL: Duration = Duration::from_millis(200);
 
 /// What is read of a driver.
 #[derive(Debug)]
@@ -92,7 +92,7 @@ impl Ros2Source {
 
     /// Waits for what the driver states of its lens, where it says that it states anything.
     pub fn with_stated_calibration(mut self) -> Self {
-        let deadline = Instant::now() + STATED;
+        let deadline = Instant::now() + CAMERA_INFO_TIMEOUT;
         let states = self.read.infos.iter().all(Option::is_some);
         while states && !self.messages.has_stated() && Instant::now() < deadline {
             // A fault is found again by who asks for the first frame.
@@ -109,7 +109,7 @@ impl Ros2Source {
         self.check_publishers()?;
         if !self.take_all()? {
             let left = deadline.saturating_duration_since(Instant::now());
-            thread::park_timeout(left.min(GLANCE));
+            thread::park_timeout(left.min(POLL_INTERVAL));
         }
         Ok(())
     }

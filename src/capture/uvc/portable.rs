@@ -32,12 +32,12 @@ use crate::imaging::jpeg_length;
 use crate::locks::lock;
 
 /// How long a camera may take to open.
-const OPENING: Duration = Duration::from_secs(10);
+const OPEN_TIMEOUT: Duration = Duration::from_secs(10);
 /// How long a wait for a frame may take to end once nobody wants the frame: it ends with the frame,
 /// and cameras give several a second.
-const ENDING: Duration = Duration::from_secs(1);
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(1);
 /// Frames between the waiting thread and the reader; more would only be old ones.
-const QUEUE: usize = 2;
+const QUEUED_FRAMES: usize = 2;
 
 /// A camera that may come and go.
 #[derive(Debug)]
@@ -70,7 +70,7 @@ impl SourceOpener for PortableCamera {
         let name = info.human_name();
         self.end_last_wait(&name)?;
         let shared = Arc::new(SharedFrames::default());
-        let (frames, received) = sync_channel(QUEUE);
+        let (frames, received) = sync_channel(QUEUED_FRAMES);
         let (opened, opening) = sync_channel(1);
         let (running, ended) = sync_channel(0);
         let waiting = Waiting {
@@ -90,7 +90,7 @@ impl SourceOpener for PortableCamera {
         let wait = Wait(Arc::new(Mutex::new(ended)));
         self.last_wait = Some(wait.clone());
         let silent = |_| lost(&name, "it does not open within 10 s; plug it in again".to_owned());
-        let mode = opening.recv_timeout(OPENING).map_err(silent)??;
+        let mode = opening.recv_timeout(OPEN_TIMEOUT).map_err(silent)??;
         let words = in_words(mode, &self.options.mode);
         let next_sequence = Arc::clone(&self.next_sequence);
         Ok(Box::new(PortableSource { name, mode, words, received, shared, wait, next_sequence }))
@@ -106,7 +106,7 @@ impl Wait {
     /// Whether it ends in time.
     fn ends(&self) -> bool {
         let ended = lock(&self.0);
-        ended.recv_timeout(ENDING) != Err(RecvTimeoutError::Timeout)
+        ended.recv_timeout(CLOSE_TIMEOUT) != Err(RecvTimeoutError::Timeout)
     }
 }
 

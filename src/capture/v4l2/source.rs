@@ -25,7 +25,7 @@ use crate::imaging::timestamp::DeviceTime;
 /// Buffers between the driver and the reader: at 30 frames a second the reader may be 100 ms late.
 const BUFFERS: u32 = 4;
 /// How long to leave a driver alone that says a frame is ready and then has none.
-const RESPITE: Duration = Duration::from_millis(2);
+const RETRY_DELAY: Duration = Duration::from_millis(2);
 
 /// An open device, set and ready to stream.
 pub(super) struct OpenedDevice {
@@ -126,7 +126,7 @@ impl V4l2Source {
 
     fn not_taken(&self, error: &io::Error) -> Result<Option<FrameSet>, CaptureError> {
         if is_not_yet(error) {
-            thread::sleep(RESPITE);
+            thread::sleep(RETRY_DELAY);
             return Ok(None);
         }
         Err(self.lost(error))

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 use crate::locks::lock;
 
 /// How many values are kept; each takes some bytes for every pixel of its image.
-const KEPT: usize = 4;
+const KEPT_VALUES: usize = 4;
 
 /// The values computed last with their keys, the newest last.
 #[derive(Debug)]
@@ -34,7 +34,7 @@ impl<K: PartialEq, V> NewestValues<K, V> {
         let value = Arc::new(value);
         let mut kept = lock(&self.0);
         kept.retain(|(known, _)| *known != key);
-        if kept.len() == KEPT {
+        if kept.len() == KEPT_VALUES {
             kept.remove(0);
         }
         kept.push((key, Arc::clone(&value)));
@@ -63,9 +63,9 @@ mod tests {
             assert_eq!(*values.get_or_make(&key, make).unwrap(), key * 10);
             made
         };
-        assert_eq!((0..KEPT).map(&mut get).last(), Some(KEPT));
-        assert_eq!(get(0), KEPT, "it is kept");
-        assert_eq!(get(KEPT), KEPT + 1);
-        assert_eq!(get(0), KEPT + 2, "it was the oldest");
+        assert_eq!((0..KEPT_VALUES).map(&mut get).last(), Some(KEPT_VALUES));
+        assert_eq!(get(0), KEPT_VALUES, "it is kept");
+        assert_eq!(get(KEPT_VALUES), KEPT_VALUES + 1);
+        assert_eq!(get(0), KEPT_VALUES + 2, "it was the oldest");
     }
 }

@@ -37,7 +37,7 @@ use crate::recording::bag::transforms::FrameTree;
 
 /// How many messages are searched for what a camera states of itself: drivers send camera_info
 /// with every image and transforms at the start.
-const STATED_WITHIN: usize = 500;
+const STATED_WITHIN_MESSAGES: usize = 500;
 
 /// A bag being read: the frame sets of one camera.
 pub struct BagReader {
@@ -175,7 +175,7 @@ impl BagReader {
         let mut infos: BTreeMap<SensorKind, CameraInfo> = BTreeMap::new();
         let mut frame_ids: BTreeMap<SensorKind, String> = BTreeMap::new();
         let mut tree = FrameTree::default();
-        for _ in 0..STATED_WITHIN {
+        for _ in 0..STATED_WITHIN_MESSAGES {
             // What is damaged is reported when the frames are read.
             let Ok(Some(message)) = self.storage.next_message(&self.wanted) else { break };
             let Some(role) = self.roles.get(&message.topic) else { continue };

@@ -12,7 +12,7 @@ use crate::imaging::timestamp::HostTime;
 /// what is between two frames at 30 a second.
 const TOGETHER_NS: u64 = 15_000_000;
 /// How many sets wait for their missing frames.
-const WAITING: usize = 4;
+const MOST_WAITING_SETS: usize = 4;
 
 /// The frame sets that are not complete yet, in the order of their stamps.
 #[derive(Debug)]
@@ -62,7 +62,7 @@ impl StampedSets {
     /// The earliest set, if it is complete or has waited long enough.
     pub(super) fn pop_complete(&mut self) -> Option<FrameSet> {
         let complete = self.waiting.front().is_some_and(|set| set.frames.len() >= self.sensors);
-        if complete || self.waiting.len() > WAITING { self.pop() } else { None }
+        if complete || self.waiting.len() > MOST_WAITING_SETS { self.pop() } else { None }
     }
 
     /// The earliest set.

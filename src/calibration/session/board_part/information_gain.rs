@@ -12,11 +12,11 @@ use crate::geometry::pose::Pose;
 
 /// Before the lens is estimated, a view whose placement differs from all others by at least this
 /// many steps is kept. Chosen, not swept.
-const FIRST_STEPS: f64 = 0.6;
+const FIRST_VIEW_STEPS: f64 = 0.6;
 /// While the board approaches the suggested view, a frame is kept only if it lowers the goal's
 /// criterion by at least this fraction of what that view would. Chosen, not swept; the time for
 /// which it is waited for was swept (docs/guidance.md).
-const GOOD_PART: f64 = 0.7;
+const LEAST_DROP_FRACTION: f64 = 0.7;
 
 impl BoardPart {
     /// The information in a detection; `None` where no pose of the whole board explains it.
@@ -65,7 +65,7 @@ impl BoardPart {
         // Before the lens is estimated, every view at a new placement helps to estimate it.
         let steps = self.placements.iter().map(|kept| kept.steps_to(placement));
         let counts =
-            !information.is_estimated() && steps.fold(f64::INFINITY, f64::min) >= FIRST_STEPS;
+            !information.is_estimated() && steps.fold(f64::INFINITY, f64::min) >= FIRST_VIEW_STEPS;
         let counts = counts || self.depth.is_informative(added, depth, self.options.worth);
         if !self.views.is_empty() && gain < needed && !counts {
             return Err(Rejection::LittleInformation { gain, needed });
@@ -73,7 +73,7 @@ impl BoardPart {
         if let Some(needed) = awaited {
             let by_depth = self.depth.drop(added, depth);
             let (gain, needed) = match by_depth {
-                Some([gain, requested]) => (gain, GOOD_PART * requested),
+                Some([gain, requested]) => (gain, LEAST_DROP_FRACTION * requested),
                 None => (information.drop(added), needed),
             };
             if gain < needed {
@@ -101,6 +101,6 @@ impl BoardPart {
             (self.information.as_ref()?, self.advice.suggested.as_ref()?);
         let poses = [camera_from_board, &suggested.camera_from_board];
         let arriving = self.approach.is_arriving(frame, poses, information);
-        arriving.then_some(GOOD_PART * suggested.drop)
+        arriving.then_some(LEAST_DROP_FRACTION * suggested.drop)
     }
 }
