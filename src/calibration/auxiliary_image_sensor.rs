@@ -17,7 +17,9 @@ use crate::imaging::frame::SensorKind;
 /// # Errors
 /// [`RigError`]: one of them cannot be calibrated, or they never saw the board together.
 fn solve_with_color(
-    (board, camera, kind): (Target, &CameraFrameSets, SensorKind),
+    board: Target,
+    camera: &CameraFrameSets,
+    kind: SensorKind,
     options: &CameraOptions,
 ) -> Result<SolvedRig, RigError> {
     let of = |sensor: SensorKind| {
@@ -32,13 +34,14 @@ fn solve_with_color(
 /// calibrated, color stays as it is and the verdict says why.
 pub(super) fn with_image_sensor(
     mut calibration: Calibration,
-    observed: (Target, &CameraFrameSets, SensorKind),
+    board: Target,
+    camera: &CameraFrameSets,
+    kind: SensorKind,
     options: &CameraOptions,
 ) -> Calibration {
-    let (_, _, kind) = observed;
     let lens = calibration.color().map(|color| LensChoice::Model(color.lens.model()));
     let options = CameraOptions { lens: lens.unwrap_or(options.lens), ..options.clone() };
-    match solve_with_color(observed, &options) {
+    match solve_with_color(board, camera, kind, &options) {
         Ok(SolvedRig { sensors, extrinsics, .. }) => {
             let sensor = sensors.into_iter().find(|(id, _)| id.kind == kind);
             if let Some((id, sensor)) = sensor {

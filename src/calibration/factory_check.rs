@@ -59,10 +59,10 @@ impl FactoryCheck {
                 // The factory's depth is compared with the joint solve; that of the other half with
                 // the board's pose by its own color lens.
                 let board = estimate.color_from_board[*index];
-                factory.add((view, &board), &camera, &color_from_depth);
+                factory.add(view, &board, &camera, &color_from_depth);
                 match half.as_ref().map(|half| (half, board_under(&half.color, view))) {
                     Some((half, Some(board))) => {
-                        own.add((view, &board), &half.depth, &half.color_from_depth);
+                        own.add(view, &board, &half.depth, &half.color_from_depth);
                     }
                     Some((_, None)) => {}
                     None => own.sum = f64::INFINITY,
@@ -110,8 +110,14 @@ struct Squares {
 }
 
 impl Squares {
-    fn add(&mut self, view: (&RgbdView, &Pose), camera: &DepthCamera, color_from_depth: &Pose) {
-        for (tile, plane) in planes(view, &camera.lens, color_from_depth) {
+    fn add(
+        &mut self,
+        view: &RgbdView,
+        color_from_board: &Pose,
+        camera: &DepthCamera,
+        color_from_depth: &Pose,
+    ) {
+        for (tile, plane) in planes(view, color_from_board, &camera.lens, color_from_depth) {
             let measured = tile.inverse_depth;
             let corrected = camera
                 .correction
@@ -136,7 +142,8 @@ fn board_under(lens: &Lens, view: &RgbdView) -> Option<Pose> {
 
 /// Each patch of the board, with the 1/z of its plane there.
 fn planes<'a>(
-    (view, color_from_board): (&'a RgbdView, &Pose),
+    view: &'a RgbdView,
+    color_from_board: &Pose,
     lens: &'a Lens,
     color_from_depth: &Pose,
 ) -> impl Iterator<Item = (&'a DepthTile, f64)> + use<'a> {
@@ -157,12 +164,13 @@ fn as_the_factory_has_it(
     color_from_depth: Pose,
 ) -> RgbdEstimate {
     let judged = |(view, color_from_board): (&RgbdView, &Pose)| {
-        let seen = (view, color_from_board);
         let judged =
-            planes(seen, &camera.lens, &color_from_depth).map(|(tile, plane)| ComparedTile {
-                tile: *tile,
-                plane,
-                inverse_std: 1.0 / tile.reading_std.max(f64::MIN_POSITIVE),
+            planes(view, color_from_board, &camera.lens, &color_from_depth).map(|(tile, plane)| {
+                ComparedTile {
+                    tile: *tile,
+                    plane,
+                    inverse_std: 1.0 / tile.reading_std.max(f64::MIN_POSITIVE),
+                }
             });
         judged.collect()
     };

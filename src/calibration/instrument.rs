@@ -105,7 +105,7 @@ fn with_image_sensors(
 ) -> Calibration {
     let Some(board) = board else { return calibration };
     camera.beside_color().fold(calibration, |calibration, kind| {
-        with_image_sensor(calibration, (board, camera, kind), &options.camera)
+        with_image_sensor(calibration, board, camera, kind, &options.camera)
     })
 }
 

@@ -25,6 +25,16 @@ pub(super) struct Joint {
     pub(super) halves: Vec<SensorHalves>,
 }
 
+/// The symmetry of the board that corrects the labels of each view, so that all sensors label the
+/// same corners alike.
+#[derive(Clone, Copy)]
+struct ChosenLabels<'a> {
+    /// By symmetry.
+    board_from_labels: &'a [Pose],
+    /// For each sensor: the symmetry of each of its views in use.
+    chosen: &'a [Vec<usize>],
+}
+
 impl Joint {
     /// Solves with the board as the cameras measured it, unless the stated board fits better.
     pub(super) fn solve(
@@ -38,13 +48,13 @@ impl Joint {
             &group.iter().map(|one| one.poses()).collect::<Vec<_>>(),
             &symmetries,
         );
-        let labels = (board_from_labels.as_slice(), chosen.as_slice());
+        let labels = ChosenLabels { board_from_labels: &board_from_labels, chosen: &chosen };
         if let Some(given) = &options.measured_board {
-            return Self::on_board(group, labels, (Some(given), options));
+            return Self::on_board(group, labels, Some(given), options);
         }
-        let stated = Self::on_board(group, labels, (None, options));
+        let stated = Self::on_board(group, labels, None, options);
         let Some(measured) = measured_by(group, labels) else { return stated };
-        match (stated, Self::on_board(group, labels, (Some(&measured), options))) {
+        match (stated, Self::on_board(group, labels, Some(&measured), options)) {
             (Ok(stated), Ok(on_measured)) if stated.misfit() < on_measured.misfit() => Ok(stated),
             (stated, on_measured) => on_measured.or(stated),
         }
@@ -52,13 +62,14 @@ impl Joint {
 
     fn on_board(
         group: &[&SingleSensor<'_>],
-        (board_from_labels, chosen): (&[Pose], &[Vec<usize>]),
-        (board, options): (Option<&MeasuredBoard>, &CameraOptions),
+        labels: ChosenLabels<'_>,
+        board: Option<&MeasuredBoard>,
+        options: &CameraOptions,
     ) -> Result<Self, EstimationError> {
         let sensor = |(one, chosen): (&&SingleSensor<'_>, &Vec<usize>)| RigSensor {
             name: one.input.name.clone(),
             image_size: one.input.image_size,
-            views: one.with_labels_corrected(board_from_labels, chosen),
+            views: one.with_labels_corrected(labels.board_from_labels, chosen),
             lens_covariance_with_shape: board
                 .and(one.solved.estimate.board_shape.as_ref())
                 .map(|_| one.solved.estimate.lens_covariance.clone()),
@@ -74,7 +85,7 @@ impl Joint {
                 }
             },
         };
-        let sensors: Vec<RigSensor> = group.iter().zip(chosen).map(sensor).collect();
+        let sensors: Vec<RigSensor> = group.iter().zip(labels.chosen).map(sensor).collect();
         let end =
             sensors.iter().flat_map(|sensor| &sensor.views).map(|seen| seen.frame_set + 1).max();
         let problem = RigProblem { sensors, frame_sets: end.unwrap_or(0) };
@@ -176,17 +187,14 @@ const CONTRADICTED_FRACTION: f64 = 0.25;
 
 /// The board's shape as measured by cameras with the same labels in all their views, with its
 /// points moved to where `labels` place them; `None` if there is no such camera.
-fn measured_by(
-    group: &[&SingleSensor<'_>],
-    (board_from_labels, chosen): (&[Pose], &[Vec<usize>]),
-) -> Option<MeasuredBoard> {
+fn measured_by(group: &[&SingleSensor<'_>], labels: ChosenLabels<'_>) -> Option<MeasuredBoard> {
     let shape = |(one, chosen): (&&SingleSensor<'_>, &Vec<usize>)| {
         let shape = one.solved.estimate.board_shape.as_ref()?;
         let (first, others) = chosen.split_first()?;
         let alike = others.iter().all(|symmetry| symmetry == first);
-        alike.then(|| shape.transformed(&board_from_labels[*first]))
+        alike.then(|| shape.transformed(&labels.board_from_labels[*first]))
     };
-    let shapes: Vec<MeasuredBoard> = group.iter().zip(chosen).filter_map(shape).collect();
+    let shapes: Vec<MeasuredBoard> = group.iter().zip(labels.chosen).filter_map(shape).collect();
     MeasuredBoard::mean_of(&shapes)
 }
 

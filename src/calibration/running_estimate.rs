@@ -67,10 +67,10 @@ impl Continuation {
         let lens = LensChoice::Model(self.start.lens.model());
         let options =
             CameraOptions { lens, start: Some(self.start.clone()), ..CameraOptions::default() };
-        let checked = calibrate_and_check(problem, &options).ok()?;
+        let (estimate, check) = calibrate_and_check(problem, &options).ok()?;
         let origin =
             EstimateOrigin { from_scratch: false, chosen_from_views: self.chosen_from_views };
-        self.is_continued_by(&checked.0).then(|| EstimateSoFar::of(&checked, origin))
+        self.is_continued_by(&estimate).then(|| EstimateSoFar::of(&estimate, &check, origin))
     }
 
     /// Whether `next` is plausible as this estimate with a few more views. A newly rejected view,
@@ -96,7 +96,7 @@ struct EstimateOrigin {
 }
 
 impl EstimateSoFar {
-    fn of((estimate, check): &(CameraEstimate, ModelCheck), origin: EstimateOrigin) -> Self {
+    fn of(estimate: &CameraEstimate, check: &ModelCheck, origin: EstimateOrigin) -> Self {
         let uncertainty_px =
             uncertainty_over(&estimate.lens, &estimate.lens_covariance, estimate.image_size);
         let uncertainty_map = uncertainty_map(estimate, SHOWN_COLUMNS, Distance::Infinity);
@@ -145,9 +145,10 @@ pub fn estimate_so_far(
         return Ok(continued);
     }
     let from_scratch = |lens: LensChoice, chosen_from_views: usize| {
-        let checked =
-            calibrate_and_check(problem, &CameraOptions { lens, ..CameraOptions::default() })?;
-        Ok(EstimateSoFar::of(&checked, EstimateOrigin { from_scratch: true, chosen_from_views }))
+        let options = CameraOptions { lens, ..CameraOptions::default() };
+        let (estimate, check) = calibrate_and_check(problem, &options)?;
+        let origin = EstimateOrigin { from_scratch: true, chosen_from_views };
+        Ok(EstimateSoFar::of(&estimate, &check, origin))
     };
     // If only the fit is made anew, the lens model stays that of the earlier choice.
     let of_chosen = earlier.and_then(|kept| {

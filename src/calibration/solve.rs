@@ -85,7 +85,7 @@ impl SolvedCamera {
     /// The calibration of an instrument that is this one sensor.
     pub fn into_calibration(self, target: Option<Target>) -> Calibration {
         let color = CalibratedSensor::image(SensorId::own(SensorKind::Color), self.sensor);
-        Calibration::unnamed(target, vec![color], (self.checks, self.verdict))
+        Calibration::unnamed(target, vec![color], self.checks, self.verdict)
     }
 }
 

@@ -36,10 +36,9 @@ impl SolvedRig {
     pub fn into_calibration(self, target: Target) -> Calibration {
         let sensors = self.sensors.into_iter();
         let sensors = sensors.map(|(id, sensor)| CalibratedSensor::image(id, sensor)).collect();
-        let made = (self.checks, self.verdict);
         Calibration {
             extrinsics: self.extrinsics,
-            ..Calibration::unnamed(Some(target), sensors, made)
+            ..Calibration::unnamed(Some(target), sensors, self.checks, self.verdict)
         }
     }
 }
@@ -127,7 +126,7 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
         if group.len() < 2 {
             continue;
         }
-        let (group, joint) = jointly(input, (&singles, group), options, &mut findings)?;
+        let (group, joint) = jointly(input, &singles, group, options, &mut findings)?;
         let members: Vec<&SingleSensor<'_>> = group.iter().map(|index| &singles[*index]).collect();
         findings.extend(joint.findings(&members));
         let ratios = joint.halves.iter().filter_map(|halves| Some(halves.pose?.ratio));
@@ -150,7 +149,8 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
 /// others.
 fn jointly(
     input: &RigInput,
-    (singles, group): (&[SingleSensor<'_>], &[usize]),
+    singles: &[SingleSensor<'_>],
+    group: &[usize],
     options: &CameraOptions,
     findings: &mut Vec<Finding>,
 ) -> Result<(Vec<usize>, Joint), RigError> {

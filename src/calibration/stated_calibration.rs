@@ -49,7 +49,7 @@ pub fn stated_calibration(
         camera: Some(camera.to_owned()),
         created_at_ns,
         extrinsics: factory.sensors.iter().filter_map(extrinsics).collect(),
-        ..Calibration::unnamed(None::<CalibrationTarget>, sensors, (Checks::default(), verdict))
+        ..Calibration::unnamed(None::<CalibrationTarget>, sensors, Checks::default(), verdict)
     })
 }
 

@@ -27,7 +27,7 @@ use crate::pipeline::idle_pace::IdlePace;
 use crate::pipeline::live_camera::LiveCamera;
 use crate::pipeline::message::Message;
 use crate::pipeline::search::CameraSearch;
-use crate::pipeline::silence::Silence;
+use crate::pipeline::silence::{Silence, SilenceLimits};
 use crate::pipeline::supervision::Supervision;
 
 /// The longest time that a source may keep the thread from checking whether to stop.
@@ -262,7 +262,8 @@ impl Capture {
         ControlFlow::Break(match error {
             CaptureError::TimedOut { waited } => {
                 self.silence.went_on(waited);
-                let limits = [self.supervision.stall, self.supervision.first_frame];
+                let Supervision { stall, first_frame, .. } = self.supervision;
+                let limits = SilenceLimits { stall, first_frame };
                 let too_long = self.silence.too_long(limits, delivery.fps);
                 let Some(silence) = too_long.filter(|_| self.may_stall) else {
                     return ControlFlow::Continue(());

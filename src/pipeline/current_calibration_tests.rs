@@ -49,7 +49,8 @@ fn calibration(name: &str, instrument: &str, width: u32) -> Calibration {
         ..Calibration::unnamed(
             None::<crate::geometry::target::Target>,
             vec![CalibratedSensor::image(id, sensor)],
-            (Checks::default(), Verdict { grade: Grade::Good, reasons: Vec::new() }),
+            Checks::default(),
+            Verdict { grade: Grade::Good, reasons: Vec::new() },
         )
     }
 }

@@ -147,7 +147,10 @@ impl RecorderLink {
         let (written, factory) = (Arc::clone(&shown), Arc::clone(factory));
         let thread = std::thread::Builder::new()
             .name(format!("record-{camera}"))
-            .spawn(move || write_all(&waiting, writer, &factory, (limits, &room), &written))
+            .spawn(move || {
+                let bounds = RecordingBounds { limits, room: &room };
+                write_all(&waiting, writer, &factory, &bounds, &written);
+            })
             .map_err(|e| failed(format!("no thread for it: {e}")))?;
         *link = Some(Recorder { frames: Some(frames), status: shown, thread: Some(thread) });
         Ok(status)
@@ -200,11 +203,18 @@ impl RecorderLink {
     }
 }
 
+/// What ends a recording by itself.
+struct RecordingBounds<'a> {
+    limits: RecordingLimits,
+    /// Whether the disk has room for more.
+    room: &'a dyn Fn() -> Result<(), StoreError>,
+}
+
 fn write_all(
     frames: &Receiver<Arc<FrameSet>>,
     mut writer: McapWriter,
     factory: &Mutex<FactoryCalibration>,
-    (limits, room): (RecordingLimits, &dyn Fn() -> Result<(), StoreError>),
+    bounds: &RecordingBounds<'_>,
     status: &Mutex<RecordingStatus>,
 ) {
     let path = lock(status).path.clone();
@@ -234,12 +244,12 @@ fn write_all(
             let _ = recording_notes::write(&lock(status).clone());
         }
         // Sessions need the space that stays free in order to end.
-        if let Err(full) = room() {
+        if let Err(full) = (bounds.room)() {
             outcome = Ok(Some(full.to_string()));
             break;
         }
         let elapsed_s = now_ns.saturating_sub(*began_ns.get_or_insert(now_ns)) as f64 * 1e-9;
-        if let Some(reached) = reached(limits, elapsed_s, bytes) {
+        if let Some(reached) = reached(bounds.limits, elapsed_s, bytes) {
             outcome = Ok(Some(reached));
             break;
         }
@@ -393,7 +403,8 @@ mod tests {
         (0..10).for_each(|sequence| frames.send(frame_set(sequence)).unwrap());
         drop(frames);
         let limits = RecordingLimits::default();
-        write_all(&waiting, writer, &Mutex::default(), (limits, &|| Ok(())), &status);
+        let bounds = RecordingBounds { limits, room: &|| Ok(()) };
+        write_all(&waiting, writer, &Mutex::default(), &bounds, &status);
         let ended = lock(&status).clone();
         assert_eq!(ended.state, RecordingState::Failed);
         let reason = ended.reason.unwrap();

@@ -10,6 +10,15 @@ const FRAMES_MISSED: u32 = 3;
 /// Chosen, not swept.
 const LONGEST_INTERVAL: Duration = Duration::from_secs(10);
 
+/// How long a source may be silent, whatever its frame rate.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct SilenceLimits {
+    /// After a frame.
+    pub(super) stall: Duration,
+    /// Before its first frame since it was opened.
+    pub(super) first_frame: Duration,
+}
+
 /// How long a source has been silent now, and was before its last frames.
 #[derive(Debug, Default)]
 pub(super) struct Silence {
@@ -41,15 +50,10 @@ impl Silence {
         self.since_frame += waited;
     }
 
-    /// The time that the source has been silent, if that is too long: longer than `stall` (or than
-    /// `first_frame` if it has delivered none since it was opened), and longer than its frame rate
-    /// explains.
-    pub(super) fn too_long(
-        &self,
-        [stall, first_frame]: [Duration; 2],
-        fps: Option<f64>,
-    ) -> Option<Duration> {
-        let limit = if self.delivered { stall } else { first_frame };
+    /// The time that the source has been silent, if that is longer than `limits` allow and than its
+    /// frame rate explains.
+    pub(super) fn too_long(&self, limits: SilenceLimits, fps: Option<f64>) -> Option<Duration> {
+        let limit = if self.delivered { limits.stall } else { limits.first_frame };
         let five_frames = fps.map(|fps| Duration::from_secs_f64(5.0 / fps.max(1e-3)));
         // The shorter of both, so that a single stall is not taken for the frame interval.
         let pace = self.before_frames[0].min(self.before_frames[1]).min(LONGEST_INTERVAL);
@@ -63,7 +67,8 @@ mod tests {
     use super::*;
 
     const TWO_SECONDS: Duration = Duration::from_secs(2);
-    const LIMITS: [Duration; 2] = [Duration::from_millis(1500), Duration::from_secs(4)];
+    const LIMITS: SilenceLimits =
+        SilenceLimits { stall: Duration::from_millis(1500), first_frame: Duration::from_secs(4) };
 
     fn frame_after(silence: &mut Silence, waited: Duration) {
         silence.went_on(waited);

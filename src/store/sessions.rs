@@ -156,23 +156,38 @@ pub(super) fn document(record: &SessionRecord) -> Result<String, StoreError> {
 }
 
 fn checksum_of(record: &SessionRecord, document: &str) -> u32 {
-    let SessionRecord { id, camera, state, started_at_ns, collecting_s, .. } = record;
-    checksum_of_columns((id, camera, state.name()), (*started_at_ns, *collecting_s), document)
+    let columns = CheckedColumns {
+        id: &record.id,
+        camera: &record.camera,
+        state: record.state.name(),
+        started_at_ns: record.started_at_ns,
+        collecting_s: record.collecting_s,
+        document,
+    };
+    columns.checksum()
 }
 
-fn checksum_of_columns(
-    (id, camera, state): (&str, &str, &str),
-    (started_at_ns, collecting_s): (i64, f64),
-    document: &str,
-) -> u32 {
-    checksum::of_columns(&[
-        id.as_bytes(),
-        camera.as_bytes(),
-        state.as_bytes(),
-        &started_at_ns.to_le_bytes(),
-        &collecting_s.to_le_bytes(),
-        document.as_bytes(),
-    ])
+/// The columns that the checksum is of.
+struct CheckedColumns<'a> {
+    id: &'a str,
+    camera: &'a str,
+    state: &'a str,
+    started_at_ns: i64,
+    collecting_s: f64,
+    document: &'a str,
+}
+
+impl CheckedColumns<'_> {
+    fn checksum(&self) -> u32 {
+        checksum::of_columns(&[
+            self.id.as_bytes(),
+            self.camera.as_bytes(),
+            self.state.as_bytes(),
+            &self.started_at_ns.to_le_bytes(),
+            &self.collecting_s.to_le_bytes(),
+            self.document.as_bytes(),
+        ])
+    }
 }
 
 struct StoredSession {
@@ -200,10 +215,15 @@ impl StoredSession {
 
     fn into_record(self) -> Result<SessionRecord, StoreError> {
         let row = || format!("session {}", self.id);
-        let names = (self.id.as_str(), self.camera.as_str(), self.state.as_str());
-        let computed =
-            checksum_of_columns(names, (self.started_at_ns, self.collecting_s), &self.document);
-        checksum::check(self.checksum, computed, row)?;
+        let columns = CheckedColumns {
+            id: &self.id,
+            camera: &self.camera,
+            state: &self.state,
+            started_at_ns: self.started_at_ns,
+            collecting_s: self.collecting_s,
+            document: &self.document,
+        };
+        checksum::check(self.checksum, columns.checksum(), row)?;
         let document: SessionDocument = json::read(&self.document, row)?;
         let record = document.to_record(self.collecting_s);
         record.map_err(|e| StoreError::Unreadable { row: row(), detail: e.to_string() })

@@ -94,7 +94,8 @@ impl Calibration {
     pub fn unnamed(
         target: Option<impl Into<CalibrationTarget>>,
         sensors: Vec<CalibratedSensor>,
-        (checks, verdict): (Checks, Verdict),
+        checks: Checks,
+        verdict: Verdict,
     ) -> Self {
         Self {
             id: String::new(),

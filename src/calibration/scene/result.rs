@@ -98,7 +98,7 @@ impl SceneCalibration {
             scene: Some(SceneSupport { points: points.len(), held_by_prior, scale }),
         };
         let color = CalibratedSensor::image(SensorId::own(SensorKind::Color), image);
-        Calibration::unnamed(Some(CalibrationTarget::Scene), vec![color], (checks, verdict))
+        Calibration::unnamed(Some(CalibrationTarget::Scene), vec![color], checks, verdict)
     }
 }
 

@@ -129,7 +129,12 @@ pub fn calibrate_scene(
         .map_err(|refusal| explained(refusal, &found))?;
     let name = |pose: usize| images[start.images[pose]].name.clone();
     let different_focals = others.map(|others| focal_lengths::reason(&others, name));
-    let mut calibration = finished(images, &start, &fit, (&conditions, &found, different_focals));
+    let mut calibration = finished(
+        images,
+        &start,
+        &fit,
+        SceneFindings { conditions, found: &found, different_focals },
+    );
     let sensor = &calibration.sensor;
     let focal = (sensor.lens.matrix.fx, sensor.lens_std[Lens::FX]);
     let unfit = options.nominal_focal.and_then(|nominal| verdict::unfit_focal(nominal, focal));
@@ -302,12 +307,20 @@ fn check_determined(
     Ok(())
 }
 
+/// What was found out about the images before and beside the fit.
+struct SceneFindings<'a> {
+    conditions: SceneConditions,
+    found: &'a ImagePairs,
+    different_focals: Option<String>,
+}
+
 fn finished(
     images: &[SceneImage],
     start: &Reconstruction,
     fit: &LensFit,
-    (conditions, found, different_focals): (&SceneConditions, &ImagePairs, Option<String>),
+    findings: SceneFindings<'_>,
 ) -> SceneCalibration {
+    let SceneFindings { conditions, found, different_focals } = findings;
     let (state, bundle) = (&fit.fit.state, &fit.fit.bundle);
     let (lens, size) = (state.lens, found.problem.image_size);
     let frame = SceneFrame::of(start, &state.cameras_from_scene);
@@ -317,7 +330,7 @@ fn finished(
         .enumerate()
         .map(|(image, of)| {
             let same_as = found.same_as[image].map(|other| images[other].name.as_str());
-            view((of, same_as), image, &frame, &points, &lens)
+            view(of, same_as, image, &frame, &points, &lens)
         })
         .collect();
     let covariance = full_covariance(&lens, &bundle.free, &fit.covariance.matrix);
@@ -340,7 +353,7 @@ fn finished(
     let held_by_prior = held_by_prior(&lens, fit);
     let evidence = Evidence {
         fit,
-        conditions,
+        conditions: &conditions,
         map: map.as_ref(),
         used: start.images.len(),
         views: found.views(),
@@ -356,7 +369,6 @@ fn finished(
         uncertainty_px: ProjectionUncertainty { center, median, worst },
     };
     let verdict = verdict::judge(&evidence);
-    let conditions = *conditions;
     let scale = None;
     SceneCalibration { sensor, views, points, checks, verdict, held_by_prior, conditions, scale }
 }
@@ -416,7 +428,8 @@ fn scene_points(start: &Reconstruction, fit: &LensFit, frame: &SceneFrame) -> Ve
 }
 
 fn view(
-    (of, same_as): (&SceneImage, Option<&str>),
+    of: &SceneImage,
+    same_as: Option<&str>,
     image: usize,
     frame: &SceneFrame,
     points: &[ScenePoint],

@@ -243,9 +243,8 @@ impl BoardPart {
         let Some(information) = self.information.as_ref().filter(|_| !self.requests_shared) else {
             return;
         };
-        let there = self.requested.as_ref().map(|there| there.camera_from_board);
-        let there =
-            there.filter(|there| information.effort(camera_from_board, there) < ARRIVED_EFFORT);
+        let is_there = |there: &Pose| information.effort(camera_from_board, there) < ARRIVED_EFFORT;
+        let there = self.requested.as_ref().map(|there| there.camera_from_board).filter(is_there);
         let Some(there) = there.filter(|_| self.awaited(frame, camera_from_board).is_none()) else {
             return;
         };
@@ -387,8 +386,8 @@ impl BoardPart {
             _ => {}
         }
         let placement = admit(detection, frame, before.as_ref(), &self.placements, &self.options)?;
-        let depth = (frame, depth.as_ref(), added.as_ref());
-        let depth = self.depth.seen(&self.target, self.information.as_ref(), depth);
+        let (color, depth) = (self.information.as_ref(), depth.as_ref());
+        let depth = self.depth.seen(&self.target, color, frame, depth, added.as_ref());
         let added = (added, depth);
         Ok(match self.room_for(frame, &placement, &added)? {
             None => self.add(frame, detection, placement, added),

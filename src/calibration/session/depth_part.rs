@@ -55,7 +55,9 @@ impl DepthPart {
         &mut self,
         target: &Target,
         color: Option<&CameraInformation>,
-        (facts, frame, added): (&FrameFacts, Option<&DepthFrame>, Option<&ViewInformation>),
+        facts: &FrameFacts,
+        frame: Option<&DepthFrame>,
+        added: Option<&ViewInformation>,
     ) -> BoardInDepth {
         let (Some(color), Some(frame), Some(added)) = (color, frame, added) else {
             return BoardInDepth::default();

@@ -41,8 +41,8 @@ impl BoardPart {
         depth: Option<&DepthFrame>,
     ) -> AddedInformation {
         let added = self.view_information(frame, detection);
-        let seen = (frame, depth, added.as_ref());
-        let seen = self.depth.seen(&self.target, self.information.as_ref(), seen);
+        let color = self.information.as_ref();
+        let seen = self.depth.seen(&self.target, color, frame, depth, added.as_ref());
         (added, seen)
     }
 
