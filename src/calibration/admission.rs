@@ -43,7 +43,7 @@ pub enum Rejection {
     },
     /// The board's edges are too blurred for accurate corners.
     #[error(
-        "blurred: edges are {} px wide, at most {} px can be used",
+        "blurred: edges are {} px wide, the limit is {} px",
         in_differing_digits([*blur_px, *limit_px], 1)[0],
         in_differing_digits([*blur_px, *limit_px], 1)[1]
     )]
@@ -54,7 +54,7 @@ pub enum Rejection {
         limit_px: f64,
     },
     /// The board moves between frames: its corners are smeared, and a rolling shutter distorts it.
-    #[error("moving at {speed_px_per_s:.0} px/s, at most {limit_px_per_s:.0} px/s can be used")]
+    #[error("moving at {speed_px_per_s:.0} px/s, the limit is {limit_px_per_s:.0} px/s")]
     Moving {
         /// Speed of the fastest corner since the previous frame, in pixels a second.
         speed_px_per_s: f64,
@@ -62,13 +62,13 @@ pub enum Rejection {
         limit_px_per_s: f64,
     },
     /// Too much like a view that is kept already.
-    #[error("too much like view {view}")]
+    #[error("too similar to view {view}")]
     TooSimilar {
         /// The kept view that it resembles most.
         view: u32,
     },
     /// A camera in front of a scene moved too little since a kept view.
-    #[error("a small step from view {view}: {:.0} % of what it takes to be kept", 100.0 * part)]
+    #[error("too close to view {view}: {:.0} % of the required motion", 100.0 * part)]
     SmallStep {
         /// The kept view that it resembles most.
         view: u32,
@@ -77,7 +77,7 @@ pub enum Rejection {
     },
     /// It would add too little information to that of the session's views.
     #[error(
-        "nothing new: projections would be {} % surer, a view is kept for {} %; hold the board as asked for",
+        "too little new information: it would lower the projection uncertainty by {} %, and {} % is required; move the board to the suggested pose",
         in_differing_digits([100.0 * gain, 100.0 * needed], 1)[0],
         in_differing_digits([100.0 * gain, 100.0 * needed], 1)[1]
     )]
@@ -88,7 +88,9 @@ pub enum Rejection {
         needed: f64,
     },
     /// The image's size is not that of the session's first one.
-    #[error("the image is {got}, the session's others are {expected}")]
+    #[error(
+        "the image is {got}, but the session's images are {expected}: keep the camera at one resolution"
+    )]
     OtherImageSize {
         /// This image's size.
         got: ImageSize,
@@ -105,14 +107,14 @@ pub enum Rejection {
     },
     /// A scene of which no kept view shows anything.
     #[error(
-        "it shows nothing of what the kept views show ({matches} matches agree with the frame before): go back, and take smaller steps"
+        "it does not show the scene of the kept views ({matches} inlier matches with the previous frame): go back, and take smaller steps"
     )]
     UnknownScene {
         /// The number of inlier matches with the previous frame.
         matches: usize,
     },
     /// The session has as many views as it may keep.
-    #[error("the session holds its {limit} views already; stop it to solve")]
+    #[error("the session has reached its maximum of {limit} views; stop it to solve")]
     Full {
         /// The most views a session keeps.
         limit: u32,

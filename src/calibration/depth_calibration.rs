@@ -163,7 +163,7 @@ pub fn judge_depth(
             add(
                 Grade::Usable,
                 format!(
-                    "the depth camera's {name} is known to {percent:.1} % only, by planes alone: tilt the board more, at different distances"
+                    "the depth camera's {name} is uncertain by {percent:.1} % (estimated by planes alone): tilt the board more, at different distances"
                 ),
             );
         }

@@ -76,7 +76,7 @@ impl DriftWatch {
         }
         if size != self.image_size {
             let reason = format!(
-                "images are {size} now, the calibration is for {}: calibrate again",
+                "images are now {size}, but the calibration is for {}: calibrate again",
                 self.image_size
             );
             return Some(self.report(reason, None));
@@ -94,7 +94,7 @@ impl DriftWatch {
             return None;
         }
         let reason = format!(
-            "the lens has changed since it was calibrated (refocused, zoomed, knocked?): boards are off by {rms_px:.2} px, \
+            "the lens has changed since it was calibrated (refocused, zoomed, knocked?): the reprojection error of the board is {rms_px:.2} px, \
              {:.2} px expected; calibrate again",
             self.expected_px
         );

@@ -88,15 +88,15 @@ impl FactoryCheck {
         let factory = percent(self.factory);
         match (self.kept.is_some(), self.own.is_finite()) {
             (true, true) => format!(
-                "the factory's depth calibration is kept: on {views} views depth lies {factory} of the distance off the board by it, {} by what other views give, where color's own lens leaves {} open",
+                "the factory's depth calibration is kept: over {views} views its depth error on the board is {factory} of the distance, against {} with a calibration from the other views (the color lens is uncertain by {})",
                 percent(self.own),
                 percent(self.open)
             ),
             (true, false) => format!(
-                "the factory's depth calibration is kept: {views} views are too few to show a better one (depth lies {factory} of the distance off the board)"
+                "the factory's depth calibration is kept: {views} views are too few to establish a better one (depth error {factory} of the distance)"
             ),
             (false, _) => format!(
-                "the factory's depth calibration is replaced: on {views} views depth lies {factory} of the distance off the board by it, {} by what other views give",
+                "the factory's depth calibration is replaced: over {views} views its depth error on the board is {factory} of the distance, against {} with a calibration from the other views",
                 percent(self.own)
             ),
         }

@@ -154,8 +154,7 @@ fn next_suggestion(target: &Chessboard, size: ImageSize, kept: &[Placement]) -> 
             return Guidance { message, outline_px, ..Guidance::default() };
         }
     }
-    let message =
-        "every part of the image is covered; stop the session, or go on to make the result surer";
+    let message = "every part of the image is covered; stop the session, or continue to lower the uncertainty";
     Guidance { message: message.to_owned(), ..Guidance::default() }
 }
 

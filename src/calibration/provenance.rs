@@ -41,7 +41,7 @@ impl Provenance {
         let both = self.device.as_ref().zip(now.device.as_ref());
         if let Some((was, is)) = both.filter(|(was, is)| is_another_device(was, is)) {
             return Some(format!(
-                "the device is {is} now, {calibration} is of {was}: calibrate again, or approve one of this device"
+                "the device is now {is}, but {calibration} was made with {was}: calibrate again, or approve a calibration of this device"
             ));
         }
         let resized = self.image_sizes.iter().find_map(|(kind, was)| {
@@ -50,13 +50,13 @@ impl Provenance {
         });
         if let Some((kind, was, is)) = resized {
             return Some(format!(
-                "{kind} images are {is} now, {calibration} is for {was}: calibrate again, or approve one for this size"
+                "{kind} images are now {is}, but {calibration} is for {was}: calibrate again, or approve one for this size"
             ));
         }
         let both = self.source.as_ref().zip(now.source.as_ref());
         both.filter(|(was, is)| was != is).map(|(was, is)| {
             format!(
-                "the source is {is} now, {calibration} is of {was}: calibrate again, or check it with `plumb verify`"
+                "the source is now {is}, but {calibration} was made with {was}: calibrate again, or check it with `plumb verify`"
             )
         })
     }

@@ -123,7 +123,7 @@ pub(super) fn halves_of_depth(solved: &SolvedRgbd) -> Vec<Finding> {
     let pose = color_from_depth.and_then(|PoseBetweenHalves { ratio, rotation_rad, translation_m }| {
         let (rotation_deg, translation_mm) = (rotation_rad.to_degrees(), 1e3 * translation_m);
         let reason = format!(
-            "two halves of the views differ in where depth is {ratio:.1} times as much as their uncertainties predict ({rotation_deg:.2}°, {translation_mm:.1} mm): {advice}"
+            "the depth camera's pose differs between two halves of the views by {ratio:.1} times its predicted uncertainty ({rotation_deg:.2}°, {translation_mm:.1} mm): {advice}"
         );
         Finding::worse_than_good(Grade::of_figure(ratio, SPLIT_HALF), reason)
     });
@@ -131,7 +131,7 @@ pub(super) fn halves_of_depth(solved: &SolvedRgbd) -> Vec<Finding> {
     let lens = by_planes.and_then(|LensDifference { ratio, focal_change }| {
         let (ratio, percent) = (ratio?, 100.0 * focal_change);
         let reason = format!(
-            "two halves of the views differ in depth's lens {ratio:.1} times as much as their uncertainties predict (fx by {percent:.2} %): {advice}"
+            "the depth camera's lens differs between two halves of the views by {ratio:.1} times its predicted uncertainty (fx by {percent:.2} %): {advice}"
         );
         Finding::worse_than_good(Grade::of_figure(ratio, SPLIT_HALF), reason)
     });
@@ -177,12 +177,12 @@ fn weak_place(estimate: &RgbdEstimate) -> Option<String> {
     let [x_mm, y_mm, z_mm] = std_m.map(|std_m| 1e3 * std_m);
     if x_mm.max(y_mm) > z_mm.max(1e3 * WEAK_STD_M) {
         return Some(format!(
-            "the place of the depth camera in color's frame is known to {x_mm:.0} mm along x, {y_mm:.0} along y and {z_mm:.0} along z only: add views with depth, and tilt the board more in them, near and far, or record infrared"
+            "the depth camera's position in the color frame is uncertain by {x_mm:.0} mm along x, {y_mm:.0} along y and {z_mm:.0} along z: add views with depth, with the board tilted more, near and far, or record infrared"
         ));
     }
     (z_mm > 1e3 * WEAK_STD_M).then(|| {
         format!(
-            "how far the depth camera stands back from color's is known to {z_mm:.0} mm only: flat boards alone do not separate it from the focal length and the error of depth; corrected depth still agrees with color: tilt the board more, near and far, or record infrared"
+            "the depth camera's position along the optical axis is uncertain by {z_mm:.0} mm: flat boards alone do not separate it from the focal length and the depth error; corrected depth still agrees with color; tilt the board more, near and far, or record infrared"
         )
     })
 }
@@ -206,7 +206,7 @@ fn bent_for_depth(solved: &SolvedRgbd) -> Option<String> {
     let unevenness_m = solved.color.sensor.board_shape.as_ref()?.unevenness_m;
     (unevenness_m > UNEVEN_FOR_DEPTH_M).then(|| {
         format!(
-            "the board is bent or uneven by {:.1} mm (rms), and depth around it is compared with its plane: use one that is flat and stiff",
+            "the board is bent or uneven by {:.1} mm (rms), which biases the depth error measured around it, where a plane is assumed: use a flat and stiff board",
             1e3 * unevenness_m
         )
     })
@@ -267,12 +267,12 @@ fn scale_doubt(joint: &RgbdEstimate, board: &Target) -> Option<String> {
     if off < CAUSE_SIGMAS * std {
         let (std, along_mm) = (100.0 * std, 1e3 * along_m);
         return Some(format!(
-            "depth reads {percent:+.1} ± {std:.1} % off the board in every view, too uncertain for a cause: a unit of depth or a {what} that is off by as much, or where the depth camera is, known to {along_mm:.0} mm along its axis; show the board nearer and farther, and give infrared images where there are any"
+            "depth differs from the board by {percent:+.1} ± {std:.1} % in every view; the cause cannot be determined: a wrong depth unit, a wrong {what}, or the depth camera's position (uncertain by {along_mm:.0} mm along its axis); show the board nearer and farther, and record infrared if available"
         ));
     }
     let [stated_mm, fitting_mm] = [length_m, length_m * factor].map(|m| 1e3 * m);
     Some(format!(
-        "depth reads {percent:+.1} % off the board in every view: either a unit of depth is {:.3e} m and not {unit_m:.3e} m, or a {what} is {fitting_mm:.2} mm and not {stated_mm:.2} mm; measure a {what} with a ruler, to decide: a wrong one scales the distance between the sensors too",
+        "depth differs from the board by {percent:+.1} % in every view: either the depth unit is {:.3e} m, not {unit_m:.3e} m, or a {what} is {fitting_mm:.2} mm, not {stated_mm:.2} mm; measure a {what} with a ruler to decide (a wrong size also scales the distance between the sensors)",
         unit_m / factor
     ))
 }

@@ -15,7 +15,7 @@ pub enum RgbdError {
     },
     /// No depth image has a reading.
     #[error(
-        "none of {images} depth images holds a measured pixel, all read {reading} everywhere: see that the depth stream is on, recorded as 16-bit depth, and has the board within its range; or leave depth out and calibrate color by itself"
+        "none of {images} depth images has a valid reading (every pixel is {reading}): check that the depth stream is on, that it is recorded as 16-bit depth, and that the board is within its range; or calibrate color without depth"
     )]
     NothingMeasured {
         /// How many views have one.
@@ -25,7 +25,7 @@ pub enum RgbdError {
     },
     /// Too few frame sets have the board's surface in depth.
     #[error(
-        "only {usable} of {all} views have the board in the depth image, 3 are needed{reasons}: check that depth and color are of the same device and moment"
+        "the board was measured in the depth image of only {usable} of {all} views; 3 are needed{reasons}: check that depth and color are of the same device and of the same time"
     )]
     TooLittleDepth {
         /// How many.
@@ -39,7 +39,7 @@ pub enum RgbdError {
     /// The lens that was fitted to planes only projects the board elsewhere: either the planes do
     /// not determine it, or depth is not of the board.
     #[error(
-        "{usable} of {all} views have the board in the depth image{reasons}, but the lens that fits its planes does not see it there: tilt the board more, near and far, or record infrared; and check that depth and color are of the same device, not mirrored, and taken together"
+        "the board was measured in the depth image of {usable} of {all} views{reasons}, but the depth lens estimated from its planes projects it elsewhere: tilt the board more, near and far, or record infrared; and check that depth and color are of the same device, not mirrored, and taken together"
     )]
     LensElsewhere {
         /// How many.
@@ -51,7 +51,7 @@ pub enum RgbdError {
     },
     /// The lens that fits the planes best is implausible for a depth camera.
     #[error(
-        "the depth lens that fits the board best has focal lengths of {fx:.0} and {fy:.0} px and its principal point at ({cx:.0}, {cy:.0}), as no depth camera has: check that depth and color are of the same device, not mirrored, and taken together; and tilt the board more, near and far, or record infrared"
+        "the depth lens that fits the board best is implausible (focal lengths {fx:.0} and {fy:.0} px, principal point ({cx:.0}, {cy:.0})): check that depth and color are of the same device, not mirrored, and taken together; and tilt the board more, near and far, or record infrared"
     )]
     ImplausibleLens {
         /// Focal length along x, in pixels.
@@ -65,7 +65,7 @@ pub enum RgbdError {
     },
     /// Depth is a multiple of the board's distance.
     #[error(
-        "depth reads {factor:.3} times the board's distance: check the unit of depth (meters per unit: about {factor_inverse:.4} of what is stated would fit), the board's square, and that depth and color are of the same device"
+        "depth readings are {factor:.3} times the board's distance: check the depth unit (the stated one times {factor_inverse:.4} would fit), the square size, and that depth and color are of the same device"
     )]
     Unit {
         /// The factor.
@@ -75,7 +75,7 @@ pub enum RgbdError {
     },
     /// Depth is not of the board.
     #[error(
-        "depth does not follow the board: {percent:.0} % of its surface in depth lies off the plane that color sees: check that depth and color are of the same device, not swapped, not mirrored, and taken together"
+        "depth does not fit the board: {percent:.0} % of its surface in depth is off the board plane found in color: check that depth and color are of the same device, not swapped, not mirrored, and taken together"
     )]
     Disagree {
         /// The fraction of the patches, in percent.
@@ -83,7 +83,7 @@ pub enum RgbdError {
     },
     /// The sensors would be too far from each other for one device.
     #[error(
-        "depth and color only agree if their sensors are {distance_m:.2} m from each other and rotated by {degrees:.0} degrees: check that they are of the same device, not swapped, and not mirrored"
+        "depth and color are consistent only if their sensors are separated by {distance_m:.2} m and rotated by {degrees:.0} degrees: check that they are of the same device, not swapped, and not mirrored"
     )]
     SensorsTooDistant {
         /// How far, in meters.
@@ -94,10 +94,10 @@ pub enum RgbdError {
     /// No pose of the sensors, with any lens of the depth camera, makes planes and corners
     /// consistent.
     #[error(
-        "no pose of the sensors lets depth and color agree: check that depth and color are of the same device, not swapped, not mirrored, and taken together"
+        "no relative pose of the sensors makes depth consistent with color: check that depth and color are of the same device, not swapped, not mirrored, and taken together"
     )]
     NotOneDevice,
     /// The joint solve failed.
-    #[error("color and depth together: {0}")]
+    #[error("joint solve of color and depth: {0}")]
     Joint(EstimationError),
 }

@@ -123,10 +123,10 @@ impl Joint {
         let misfitting = each.filter(|(_, rms_ratio)| **rms_ratio > MISFIT_RMS_RATIO);
         let misfitting = misfitting.map(|(member, rms_ratio)| {
             let cause =
-                "the board moved between the cameras' images, or the cameras against each other: hold it still";
+                "the board moved between the exposures, or the cameras relative to each other: hold the board still";
             let camera = name(member);
             let reason = format!(
-                "camera `{camera}` fits {rms_ratio:.1} times worse with the others than by itself; {cause}"
+                "the residuals of camera `{camera}` are {rms_ratio:.1} times as large in the joint solve as by itself; {cause}"
             );
             Finding { grade: Grade::Usable, reason }
         });
@@ -139,7 +139,7 @@ impl Joint {
             let advice = "show the board to both in more places, near and tilted";
             loose.then(|| {
                 let reason = format!(
-                    "{}_from_{} is known to {rotation_deg:.2}° and {:.1} mm only: {advice}",
+                    "the uncertainty of {}_from_{} is {rotation_deg:.2}° and {:.1} mm: {advice}",
                     name(0),
                     name(index + 1),
                     1e3 * translation_m
@@ -153,7 +153,7 @@ impl Joint {
             Finding::worse_than_good(
                 Grade::of_figure(ratio, SPLIT_HALF),
                 format!(
-                    "two halves of the frame sets differ in where camera `{}` is {ratio:.1} times as much as their uncertainties predict ({rotation_deg:.3}°, {translation_mm:.2} mm): check that all cameras are fixed to each other and take their images at the same time",
+                    "the pose of camera `{}` differs between two halves of the frame sets by {ratio:.1} times its predicted uncertainty ({rotation_deg:.3}°, {translation_mm:.2} mm): check that the cameras are rigidly mounted and synchronized",
                     name(member)
                 ),
             )
@@ -174,7 +174,7 @@ impl Joint {
         }
         let (camera, first) = (&group[member].input.name, &lost.first()?.0.name);
         let reason = format!(
-            "{} of {used} views of camera `{camera}`, the first of them `{first}`, contradict where the others have the board: a camera was moved, or its frames are of other moments; use what was taken while all were fixed",
+            "{} of {used} views of camera `{camera}` (first: `{first}`) contradict the board poses of the other cameras: a camera was moved, or its frames were taken at other times; use only frames taken while the rig was rigid and synchronized",
             lost.len()
         );
         Some(Finding { grade: Grade::Poor, reason })

@@ -215,7 +215,7 @@ impl SessionRequest {
 /// Images of a camera that the session cannot continue with: the earlier ones have another origin.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "the {} of camera `{camera}` is {is} now, was {was}: the views of both would mix; what was gathered stays, start a new session",
+    "the {} of camera `{camera}` changed from {was} to {is}, and a session never mixes views of both; its views are kept: start a new session",
     origin.name()
 )]
 pub struct OtherOrigin {

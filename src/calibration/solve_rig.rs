@@ -65,7 +65,7 @@ pub enum RigError {
     NothingShared,
     /// One camera's list of frames is shifted against another's.
     #[error(
-        "the frames of `{camera}` match those of `{reference}` {places} places {when}: name or number frames so that those taken together have the same name or number"
+        "the frames of `{camera}` match those of `{reference}` {places} frames {when}: name or number the frames so that frames taken together have the same name or number"
     )]
     Shifted {
         /// The camera.
@@ -78,7 +78,7 @@ pub enum RigError {
         when: &'static str,
     },
     /// The joint solve failed.
-    #[error("the cameras together: {0}")]
+    #[error("joint solve of the cameras: {0}")]
     Joint(EstimationError),
 }
 
@@ -173,7 +173,7 @@ fn jointly(
         let name = &singles[group.remove(at)].input.name;
         findings.push(Finding {
             grade: Grade::Poor,
-            reason: format!("where camera `{name}` is stays open: {error}"),
+            reason: format!("the pose of camera `{name}` is not determined: {error}"),
         });
     }
 }
@@ -206,9 +206,8 @@ fn check_enough(
 /// The finding that nothing determines this camera's pose.
 fn open_place(isolated: &SingleSensor<'_>) -> String {
     let name = &isolated.input.name;
-    let reason =
-        "saw the whole board at no moment at which another camera did: show it to both at once";
-    format!("where camera `{name}` is stays open: it {reason}")
+    let reason = "it never saw the whole board at the same time as another camera; show the board to both at once";
+    format!("the pose of camera `{name}` is not determined: {reason}")
 }
 
 /// A camera whose frames agree with the first one's when they are taken to be of frame sets a few

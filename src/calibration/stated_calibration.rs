@@ -36,7 +36,7 @@ pub fn stated_calibration(
         })
     };
     let mut reasons = vec![
-        "as the device states it, not measured: a session with a board says how far it holds"
+        "factory calibration as stated by the device, not measured: run a session with a board to check it"
             .to_owned(),
     ];
     reasons.extend(factory.sensors.iter().filter(|stated| stated.lens.is_none()).map(left_out));
@@ -56,10 +56,9 @@ pub fn stated_calibration(
 /// What the device does not state about depth readings, in words.
 fn assumed_reading(stated: Option<DepthEncoding>) -> Option<String> {
     match stated {
-        None => Some(
-            "the device does not state what readings of depth mean: millimeters are assumed"
-                .to_owned(),
-        ),
+        None => {
+            Some("the device does not state its depth unit: millimeters are assumed".to_owned())
+        }
         Some(DepthEncoding { reading: None, .. }) => Some(
             "depth is left out: the device does not state what its disparities mean".to_owned(),
         ),
@@ -83,7 +82,7 @@ fn sensor(factory: &FactoryCalibration, kind: SensorKind) -> Option<CalibratedSe
 
 fn left_out(stated: &FactorySensor) -> String {
     format!(
-        "{} is left out: no lens here says the same as the device's {}, with its coefficients {:?}",
+        "{} is left out: none of Plumb's lens models is equivalent to the device's {} with coefficients {:?}",
         stated.sensor.name(),
         stated.stated.model,
         stated.stated.coefficients

@@ -39,7 +39,9 @@ pub enum StereoPairError {
         known: String,
     },
     /// Their relative pose is not known.
-    #[error("where `{second}` is against `{first}` is not in this calibration")]
+    #[error(
+        "this calibration has no relative pose of `{second}` and `{first}`: calibrate them together as a rig"
+    )]
     NoPose {
         /// The first sensor.
         first: String,

@@ -79,7 +79,7 @@ pub(crate) fn square_pixels(estimate: &CameraEstimate) -> Option<String> {
     let percent = 100.0 * shape.aspect();
     (percent.abs() > 100.0 * ASPECT_TOLERANCE).then(|| {
         format!(
-            "with square pixels the board is {percent:+.2} % longer along its rows than along its columns: measure it, or leave --square-pixels out, since pixels that are not square have the same effect"
+            "assuming square pixels, the board is {percent:+.2} % longer along its rows than along its columns: measure the board, or omit --square-pixels, because non-square pixels have the same effect"
         )
     })
 }
@@ -89,7 +89,7 @@ pub(crate) fn square_pixels(estimate: &CameraEstimate) -> Option<String> {
 fn uncertainty(map: Option<&UncertaintyMap>, factor: f64) -> Option<Finding> {
     let worst_px = map.and_then(UncertaintyMap::median_and_worst).map(|known| known.worst_px);
     let (Some(map), Some(worst_px)) = (map, worst_px) else {
-        let reason = "no uncertainty is known for projections anywhere in the image".to_owned();
+        let reason = "the projection uncertainty cannot be computed: add views in all parts of the image, with the board tilted".to_owned();
         return Some(Finding { grade: Grade::Poor, reason });
     };
     let known = KnownImage::of(map);
@@ -107,12 +107,12 @@ fn uncertainty(map: Option<&UncertaintyMap>, factor: f64) -> Option<Finding> {
     let there = if of_worst == place { String::new() } else { format!(" in the {of_worst}") };
     let percent = known.beyond_good_percent();
     let remedy = if known.grade_widened(factor) > grade {
-        "most of it because the model does not fit: mend that first, then add views there"
+        "mainly because the model does not fit: correct that first, then add views there"
     } else {
         "add views there, near and far, tilted"
     };
     let reason = format!(
-        "projections are uncertain by more than {good_px:.2} px (1 sigma) in {percent:.0} % of the image, most in the {place}, by up to {worst_px:.2} px{there}: {remedy}"
+        "the projection uncertainty exceeds {good_px:.2} px (1 sigma) in {percent:.0} % of the image, mostly in the {place}, and reaches {worst_px:.2} px{there}: {remedy}"
     );
     Finding::worse_than_good(grade, reason)
 }
@@ -123,7 +123,7 @@ fn without_ray(lens: &Lens, map: Option<&UncertaintyMap>) -> Option<Finding> {
     let unseen = std_px.iter().filter(|std_px| std_px.is_none()).count();
     let part = unseen as f64 / std_px.len().max(1) as f64;
     let reason = format!(
-        "in {:.0} % of the image the lens that was found has no ray, and nothing that is said of uncertainty holds there: add views there",
+        "the estimated lens model cannot be inverted in {:.0} % of the image, and the stated uncertainty does not apply there: add views there",
         100.0 * part
     );
     Finding::worse_than_good(Grade::of_figure(part, WITHOUT_RAY_FRACTIONS), reason)
@@ -149,7 +149,7 @@ fn cause(estimate: &CameraEstimate, check: &ModelCheck) -> String {
     let shutter = check.misfit.rolling_shutter.map(|part| {
         let percent = part * 100.0;
         format!(
-            "board or camera moved while the rows of an image were read one after another (rolling shutter), which explains {percent:.0} % of the residuals: hold both still for each view"
+            "board or camera moved during readout (rolling shutter), which explains {percent:.0} % of the residuals: hold both still for each view"
         )
     });
     let uneven = check.misfit.peak_to_valley_m.map(|meters| {
@@ -160,18 +160,23 @@ fn cause(estimate: &CameraEstimate, check: &ModelCheck) -> String {
     });
     let known: Vec<String> = shutter.into_iter().chain(uneven).collect();
     if !known.is_empty() {
-        let or = if is_given { "; or what was given of the lens is another camera's" } else { "" };
+        let or = if is_given {
+            "; or the given lens parameters are those of another camera"
+        } else {
+            ""
+        };
         return known.join("; ") + or;
     }
-    let others =
-        "check that the board is flat and held still, and that focus and zoom stay as they are";
+    let others = "check that the board is flat and held still, and that focus and zoom are fixed";
     if is_given {
         return format!(
-            "the cause is unknown: what was given of the lens may be another camera's, leave it out to see whether these views fit then; else {others}"
+            "the cause is unknown: the given lens parameters may be those of another camera; solve without them to see whether the views fit; otherwise {others}"
         );
     }
     if estimate.compared.is_empty() {
-        return format!("the cause is unknown: let the lens model be chosen (auto); else {others}");
+        return format!(
+            "the cause is unknown: let the lens model be chosen (auto); otherwise {others}"
+        );
     }
     format!("the cause is unknown: {others}")
 }
@@ -189,7 +194,7 @@ fn halves(estimate: &CameraEstimate, check: &ModelCheck) -> Option<Finding> {
     };
     let change = check.focal_change.unwrap_or(0.0) * 100.0;
     let sign = format!(
-        "two halves of the views differ {ratio:.1} times as much as their uncertainties predict (fx by {change:.2} %)"
+        "the solutions of two halves of the views differ by {ratio:.1} times their predicted uncertainty (fx by {change:.2} %)"
     );
     Finding::worse_than_good(Grade::of_figure(ratio, SPLIT_HALF), sign)
 }
@@ -197,7 +202,7 @@ fn halves(estimate: &CameraEstimate, check: &ModelCheck) -> Option<Finding> {
 fn variance_inflation(estimate: &CameraEstimate) -> Option<Finding> {
     let factor = estimate.variance_inflation.sqrt();
     let sign = format!(
-        "views are off as a whole, which makes the result {factor:.1} times as uncertain as the scatter of their corners alone would"
+        "residuals are correlated within views, which makes the result {factor:.1} times as uncertain as independent corner noise would"
     );
     Finding::worse_than_good(Grade::of_figure(factor, SHARED_ERROR_FACTORS), sign)
 }
@@ -205,7 +210,7 @@ fn variance_inflation(estimate: &CameraEstimate) -> Option<Finding> {
 fn smooth_residuals(check: &ModelCheck) -> Option<Finding> {
     let correlation = check.residual_correlation?;
     let sign = format!(
-        "neighboring corners are off the same way (correlation {correlation:.2}, where noise alone has none)"
+        "the residuals of neighboring corners are correlated ({correlation:.2}; independent noise gives about 0)"
     );
     Finding::worse_than_good(Grade::of_figure(correlation, CORRELATION), sign)
 }
@@ -225,15 +230,16 @@ fn too_simple_lens(estimate: &CameraEstimate, check: &ModelCheck) -> Option<Find
     };
     let mut reason = if estimate.compared.is_empty() {
         format!(
-            "the lens model {own} is too simple for this lens: {model} is off by {larger_px} on held-out views, {own} by {own_px}, and {model} would give fx {fx:.1}: let the model be chosen (auto), or use {model}"
+            "the lens model {own} is too simple for this lens: the held-out error is {own_px} with {own} and {larger_px} with {model}, which gives fx {fx:.1}: use {model}, or let the model be chosen (auto)"
         )
     } else {
         format!(
-            "the views do not decide the lens model: {own} was chosen, which is off by {own_px} on held-out views, but {model} by {larger_px}, and it would give fx {fx:.1}: add views near the edges of the image, tilted"
+            "the views do not discriminate between lens models: {own} was chosen (held-out error {own_px}), but {model} ({larger_px}) would give fx {fx:.1}: add tilted views near the edges of the image"
         )
     };
     if widening > NOTABLE_WIDENING {
-        reason += &format!("; uncertainties are {widening:.1} times as large for it");
+        reason +=
+            &format!("; the stated uncertainties are increased {widening:.1} times to cover this");
     }
     Some(Finding { grade: Grade::Usable, reason })
 }
@@ -245,7 +251,7 @@ fn canceling_coefficients(
     has_pole(&estimate.lens, map?.grid.size).then(|| {
         let model = estimate.lens.model();
         let reason = format!(
-            "the coefficients of the {model} lens cancel but for a kink inside the image, which no lens has: these views do not determine so many; use brown, or let the model be chosen (auto)"
+            "numerator and denominator of the {model} lens nearly cancel, leaving a pole inside the image, which no real lens has: the views do not determine that many coefficients; use brown, or let the model be chosen (auto)"
         );
         Finding { grade: Grade::Poor, reason }
     })
@@ -266,7 +272,7 @@ fn other_spacing(estimate: &CameraEstimate) -> Option<Finding> {
     let percent = 100.0 * ((1.0 + stated) / (1.0 + measured) - 1.0).abs();
     let measured = value_with_std(measured, std);
     let reason = format!(
-        "the gaps between tags are {measured} of a tag, not {stated:.3} as stated: correct the target's `spacing`; distances are off by {percent:.1} % with it"
+        "the gap between tags is {measured} of a tag's side, not {stated:.3} as stated: correct the target's `spacing`; with the stated value distances are wrong by {percent:.1} %"
     );
     Some(Finding { grade: Grade::Usable, reason })
 }
@@ -276,24 +282,24 @@ fn accounted_for(estimate: &CameraEstimate, shutter_in_model: bool) -> Vec<Findi
     let board = estimate.board_shape.as_ref().map(|shape| {
         let [rms, std] = [shape.unevenness_m, shape.unevenness_std_m].map(|m| m * 1000.0);
         let rms = value_with_std(rms, std);
-        format!("board uneven by {rms} mm, measured and taken into account")
+        format!("the board is uneven by {rms} mm (rms); its shape is estimated and corrected for")
     });
     let shutter = estimate.rolling_shutter.map(|shutter| {
         let (millimeters, degrees) =
             (shutter.translation_m * 1000.0, shutter.rotation_rad.to_degrees());
         if !shutter_in_model {
             return format!(
-                "rolling shutter: the board moved by {millimeters:.2} mm and {degrees:.2} degrees while an image was read; all sensors together take an image as read at once, and the uncertainty has the rest: hold both still for a better result"
+                "rolling shutter: the board moved by {millimeters:.2} mm and {degrees:.2} degrees during readout; the joint solve of all sensors assumes a global shutter, and the uncertainty includes the difference: hold board and camera still for a better result"
             );
         }
         if shutter.agreement < 1.0 {
             let percent = 100.0 * shutter.agreement;
             return format!(
-                "perhaps a rolling shutter: views do not all agree on it, so it counts to {percent:.0} % and the uncertainty has the rest; hold board and camera still for a better result"
+                "possible rolling shutter: the views disagree about it, so it is weighted by {percent:.0} % and the rest is included in the uncertainty; hold board and camera still for a better result"
             );
         }
         format!(
-            "rolling shutter: the board moved by {millimeters:.2} mm and {degrees:.2} degrees while an image was read, measured and taken into account; hold both still for a better result"
+            "rolling shutter: the board moved by {millimeters:.2} mm and {degrees:.2} degrees during readout; this is estimated and corrected for; hold board and camera still for a better result"
         )
     });
     let known = |reason| Finding { grade: Grade::Good, reason };
@@ -306,7 +312,7 @@ fn correlated(estimate: &CameraEstimate) -> Option<Finding> {
     if let Some(OtherMinimum { lens: other, .. }) = &estimate.other_minimum {
         let [own, other] = [lens, other].map(numbers_of);
         let reason = format!(
-            "two lenses of the {} model fit these views alike, {own} and {other}: use all numbers of one lens, or none; projections are as certain as stated",
+            "two solutions of the {} model fit these views equally well, {own} and {other}: use the parameters of one solution together; the projection uncertainty is not affected",
             lens.model()
         );
         return Some(Finding { grade: Grade::Good, reason });
@@ -317,7 +323,7 @@ fn correlated(estimate: &CameraEstimate) -> Option<Finding> {
         _ => format!("{} of the {} lens are", names.join(", "), lens.model()),
     };
     let reason = format!(
-        "{which} known only together with others, not one by one: use all coefficients, or none; projections are as certain as stated"
+        "{which} strongly correlated with other coefficients: use all coefficients together, never one alone; the projection uncertainty is not affected"
     );
     (!names.is_empty()).then_some(Finding { grade: Grade::Good, reason })
 }
@@ -348,7 +354,7 @@ fn rejected_corners(estimate: &CameraEstimate) -> Option<Finding> {
     let worst = used_views().max_by_key(|view| view.used.iter().filter(|used| !**used).count())?;
     let part = rejected as f64 / all.max(1) as f64;
     let reason = format!(
-        "{rejected} of {all} corners are far off and were not used, most in view `{}`: check focus, reflections and what hides parts of the board",
+        "{rejected} of {all} corners are outliers and were not used, most of them in view `{}`: check focus, reflections and occlusions of the board",
         worst.name
     );
     Finding::worse_than_good(Grade::of_figure(part, OUTLIERS), reason)
@@ -408,7 +414,7 @@ fn flat_board(estimate: &CameraEstimate) -> Option<Finding> {
     }
     if widest < SAME_TILT_DEG {
         let reason = format!(
-            "the board's tilt differs by at most {widest:.0} degrees between views, which leaves the focal length weak: tilt it by 20 to 45 degrees in different directions"
+            "the board's tilt varies by at most {widest:.0} degrees, so the focal length is poorly determined: tilt it by 20 to 45 degrees in different directions"
         );
         return Some(Finding { grade: Grade::Usable, reason });
     }
@@ -419,7 +425,7 @@ fn flat_board(estimate: &CameraEstimate) -> Option<Finding> {
         "its top and its bottom"
     };
     let reason = format!(
-        "the board's tilt differs by {:.0} degrees in one direction and by {:.0} in the other, which leaves the focal length weak: tilt {named} towards the camera too, by 20 to 45 degrees",
+        "the board's tilt varies by {:.0} degrees about one axis and by {:.0} about the other, so the focal length is poorly determined: also tilt {named} towards the camera, by 20 to 45 degrees",
         wide.range_deg, narrow.range_deg
     );
     (narrow.range_deg < LEAST_TILT_RANGE_DEG).then_some(Finding { grade: Grade::Usable, reason })

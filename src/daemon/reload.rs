@@ -65,7 +65,7 @@ impl Reload {
             Ok(config) => config,
             Err(error) => {
                 tracing::error!(
-                    "the configuration is not taken, everything goes on as it was: {error}"
+                    "the new configuration is rejected, and the old one stays in use: {error}"
                 );
                 return;
             }
@@ -78,7 +78,7 @@ impl Reload {
             rigs: changes.started_rigs.iter().map(rig_of).collect(),
         };
         if let Err(error) = self.fleet.exchange(exchange) {
-            tracing::error!("not everything could be exchanged: {error}");
+            tracing::error!("not all changes could be applied: {error}");
         }
         let cameras: Vec<&str> = config.cameras.iter().map(|camera| camera.name.as_str()).collect();
         let rigs: Vec<&str> = config.rigs.iter().map(|rig| rig.name.as_str()).collect();
@@ -96,7 +96,7 @@ impl Reload {
         };
         if kept != config {
             tracing::warn!(
-                "only cameras, rigs, tokens and the certificate change while plumb runs; what else changed holds from the next start"
+                "only cameras, rigs, tokens and the certificate are reloaded; other changes take effect at the next start"
             );
         }
         let count = |cameras: usize, rigs: usize| format!("{cameras} cameras, {rigs} rigs");

@@ -45,7 +45,7 @@ impl Driver {
             let said = match read_reply(&reply.bytes) {
                 Some((true, _)) => "kept".to_owned(),
                 Some((false, message)) => format!("refused: {message}"),
-                None => "answered with what is no answer".to_owned(),
+                None => "sent a malformed reply".to_owned(),
             };
             tracing::info!(service = self.service, "the driver was given the calibration: {said}");
             (self.pending, self.asked_s, self.said) = (None, None, Some(said));
@@ -73,9 +73,9 @@ impl Driver {
     pub fn words(&self) -> String {
         match (&self.said, &self.pending, self.asked_s) {
             (Some(said), ..) => said.clone(),
-            (None, None, _) => "nothing to keep yet".to_owned(),
+            (None, None, _) => "no calibration to send yet".to_owned(),
             (None, Some(_), Some(_)) => "asked".to_owned(),
-            (None, Some(_), None) => format!("nobody answers {}", self.service),
+            (None, Some(_), None) => format!("no server for {}", self.service),
         }
     }
 }

@@ -25,7 +25,7 @@ const DIAGNOSTICS_INTERVAL: Duration = Duration::from_secs(1);
 const RETRY_INTERVAL: Duration = Duration::from_secs(10);
 /// Requests to end a session that wait for their answer at once.
 const MOST_STOP_REQUESTS: usize = 64;
-const TOO_MANY_STOPS: &str = "64 requests to stop wait for their session; ask again later";
+const TOO_MANY_STOPS: &str = "64 stop requests are already pending; try again later";
 const NO_BOARD: &str = "no board is configured: write [ros2] session = { target = { kind = \"chessboard\", cols = …, rows = …, square_m = … } }";
 
 /// What is published, and where.
@@ -339,7 +339,7 @@ impl GraphTask {
             Err(_) => self.fleet.start_session(name, session).await,
         };
         match started {
-            Ok(record) => (true, format!("session {} collects", record.id)),
+            Ok(record) => (true, format!("session {} started", record.id)),
             Err(error) => (false, error.to_string()),
         }
     }

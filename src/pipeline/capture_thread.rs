@@ -35,7 +35,7 @@ const FRAME_TIMEOUT: Duration = Duration::from_millis(200);
 /// How often a waiting thread checks whether a session began.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Reported of a lost camera whose driver does not return from closing it.
-const DRIVER_HOLDS_ON: &str = "; its driver does not let go of it: unplug it and plug it in again";
+const DRIVER_HOLDS_ON: &str = "; its driver does not release it: unplug it and plug it in again";
 
 /// Why a source is no longer read.
 enum End {
@@ -291,9 +291,10 @@ impl Capture {
 
     fn hold_still(&self, source: &mut dyn FrameSource, on: bool) {
         if let Err(error) = source.calibrating(on) {
+            let what = if on { "locked for" } else { "released after" };
             tracing::warn!(
                 camera = self.camera.name,
-                "the device does not hold still for a calibration: {error}"
+                "focus, exposure, gain and white balance could not be {what} a session: {error}"
             );
         }
     }

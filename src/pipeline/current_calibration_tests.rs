@@ -143,7 +143,7 @@ async fn another_size_in_the_middle_of_a_stream_is_a_drift_until_it_is_back() {
     // A frame that could not be read has no size.
     assert_eq!(drifts_in(&feed, &mut events, &[0, 64]).await, [] as [String; 0]);
     let drifts = drifts_in(&feed, &mut events, &[80, 80, 0, 80]).await;
-    let said = "color images are 80x48 now, the calibration is for 64x48: ";
+    let said = "color images are now 80x48, but the calibration is for 64x48: ";
     assert!(matches!(drifts.as_slice(), [only] if only.starts_with(said)), "{drifts:?}");
     assert_eq!(fleet.camera("front").unwrap().reason, Some(drifts[0].clone()));
     assert_eq!(drifts_in(&feed, &mut events, &[64, 64]).await, [] as [String; 0]);
@@ -235,9 +235,13 @@ async fn said_of_calibration(width: u32, serial: &str) -> String {
 async fn a_calibration_of_other_images_is_said_to_be() {
     assert_eq!(said_of_calibration(64, "A").await, "");
     let reason = said_of_calibration(64, "B").await;
-    assert!(reason.starts_with("the device is serial B now, the calibration is of serial A: "));
+    assert!(
+        reason.starts_with(
+            "the device is now serial B, but the calibration was made with serial A: "
+        )
+    );
     let reason = said_of_calibration(80, "A").await;
-    assert!(reason.starts_with("color images are 64x48 now, the calibration is for 80x48: "));
+    assert!(reason.starts_with("color images are now 64x48, but the calibration is for 80x48: "));
 }
 
 #[tokio::test]

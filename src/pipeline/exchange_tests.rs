@@ -72,7 +72,7 @@ async fn a_session_does_not_go_on_with_another_lens() {
     fleet.exchange(to("two")).unwrap();
     let given_up = until_session(&mut events, |record| record.state.is_over()).await;
     assert_eq!(given_up.id, id);
-    let reason = "the source of camera `front` is two now, was one: the views of both would mix; what was gathered stays, start a new session";
+    let reason = "the source of camera `front` changed from one to two, and a session never mixes views of both; its views are kept: start a new session";
     assert_given_up(&store, &given_up, reason);
     assert_eq!(*fleet.live_session(&id).unwrap(), given_up);
     let next = fleet.start_session("front", request()).await.unwrap();
@@ -94,7 +94,9 @@ async fn a_restart_with_another_lens_gives_the_session_up_as_well() {
     let record = until_session(&mut fleet.events(Some(0)), |record| record.state.is_over()).await;
     assert_eq!(record.id, id);
     assert_given_up(&store, &record, &record.reason.clone().unwrap());
-    assert!(record.reason.unwrap().starts_with("the source of camera `front` is two now, was one"));
+    assert!(
+        record.reason.unwrap().starts_with("the source of camera `front` changed from one to two")
+    );
 }
 
 #[tokio::test]
@@ -131,7 +133,7 @@ async fn a_rig_does_not_go_on_with_another_lens_in_one_of_its_cameras() {
     fleet.exchange(Exchange { stopped_rigs, stopped_cameras, cameras, rigs }).unwrap();
     let record = until_session(&mut events, |record| record.state.is_over()).await;
     assert_eq!((&record.id, record.members.len()), (&id, kept.members.len()));
-    let reason = "the source of camera `right` is c now, was b: the views of both would mix; what was gathered stays, start a new session";
+    let reason = "the source of camera `right` changed from b to c, and a session never mixes views of both; its views are kept: start a new session";
     assert_given_up(&store, &record, reason);
     assert_eq!(fleet.camera("left").unwrap().session, None);
     let next = fleet.start_rig_session("head", request()).await.unwrap();

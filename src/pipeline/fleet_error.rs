@@ -54,7 +54,9 @@ pub enum ApproveError {
         name: String,
     },
     /// It is of no camera.
-    #[error("calibration {id} belongs to no camera")]
+    #[error(
+        "calibration {id} belongs to no camera, so it cannot be approved: use one made by a session"
+    )]
     NoCamera {
         /// The id that was asked for.
         id: String,

@@ -31,7 +31,7 @@ async fn a_session_lives_through_a_loss_and_says_so() {
     let status = until_state(&mut events, "front", CameraState::Lost).await;
     assert_eq!(status.reason.as_deref(), Some("camera 7 was lost: unplugged"));
     until_session(&mut session_events, |record| {
-        record.reason.as_deref() == Some("waits for the camera: camera 7 was lost: unplugged")
+        record.reason.as_deref() == Some("waiting for the camera: camera 7 was lost: unplugged")
     })
     .await;
 
@@ -143,7 +143,7 @@ async fn a_driver_that_does_not_let_go_is_said_and_the_camera_comes_back() {
     feed.send(ScriptStep::Fail(lost("unplugged"))).unwrap();
     let status = until_state(&mut events, "front", CameraState::Lost).await;
     assert_eq!(status.reason.as_deref(), Some("camera 7 was lost: unplugged"), "at once");
-    let advice = "; its driver does not let go of it: unplug it and plug it in again";
+    let advice = "; its driver does not release it: unplug it and plug it in again";
     for problem in ["unplugged", "not plugged in"] {
         let said = format!("camera 7 was lost: {problem}{advice}");
         until(&mut events, |event| match &event.kind {
@@ -286,7 +286,7 @@ async fn a_session_never_mixes_two_devices() {
     assert_eq!(
         over.reason.as_deref(),
         Some(
-            "the device of camera `front` is serial B now, was serial A: the views of both would mix; what was gathered stays, start a new session"
+            "the device of camera `front` changed from serial A to serial B, and a session never mixes views of both; its views are kept: start a new session"
         )
     );
 }

@@ -106,7 +106,7 @@ impl Metrics {
             frames: new.counters("plumb_frames_total", "frame sets received", &["camera"])?,
             dropped: new.counters(
                 "plumb_frames_dropped_total",
-                "frame sets lost, and why",
+                "lost frame sets, by reason",
                 &["camera", "why"],
             )?,
             searched: new.counters(
@@ -127,7 +127,7 @@ impl Metrics {
             )?,
             sessions: new.counters(
                 "plumb_sessions_ended_total",
-                "sessions that ended, and how",
+                "ended sessions, by outcome",
                 &["camera", "state"],
             )?,
             opened: new.counters(
@@ -147,16 +147,16 @@ impl Metrics {
             )?,
             kept_depth_bytes: new.gauges(
                 "plumb_kept_depth_bytes",
-                "depth of kept views that is in memory",
+                "bytes of depth images of kept views in memory",
                 &["camera"],
             )?,
             paused: new.register(IntGauge::new(
                 "plumb_sessions_paused",
-                "sessions that are paused because what they keep cannot be stored",
+                "sessions paused because the store cannot be written",
             )?)?,
             store_failures: new.register(IntCounter::new(
                 "plumb_store_failures_total",
-                "times that something could not be stored",
+                "failed writes to the store",
             )?)?,
             unreadable_rows: new.register(IntGauge::new(
                 "plumb_store_unreadable_rows",
@@ -174,7 +174,7 @@ impl Metrics {
             )?,
             state: new.gauges(
                 "plumb_camera_state",
-                "1 for the state that the camera is in",
+                "1 for the current state of the camera, else 0",
                 &["camera", "state"],
             )?,
             detection_seconds: new.histograms(
@@ -184,7 +184,7 @@ impl Metrics {
             )?,
             latency_seconds: new.histograms(
                 "plumb_frame_latency_seconds",
-                "from a frame's arrival to what was seen in it",
+                "latency from a frame's arrival to its detection result",
                 &FRAME_SECONDS,
             )?,
             solve_seconds: new.histograms("plumb_solve_seconds", "final solves", &SOLVE_SECONDS)?,

@@ -110,7 +110,7 @@ impl RunningInstrument {
     fn wait_for_end(self) {
         if self.thread.join().is_err() {
             let name = &self.instrument.name;
-            tracing::error!(instrument = name, "its thread had ended by a fault");
+            tracing::error!(instrument = name, "its thread had panicked");
         }
     }
 }
@@ -282,7 +282,7 @@ pub(super) fn stop(rigs: &[RunningInstrument], cameras: &[RunningCamera]) {
     }
     if let Some(stuck) = threads.find(|thread| !thread.is_finished()) {
         tracing::warn!(
-            "thread {} is stuck and left behind",
+            "thread {} does not stop and is abandoned",
             stuck.thread().name().unwrap_or("without a name")
         );
     }

@@ -34,7 +34,7 @@ pub enum RecordingError {
     },
     /// Depth without a meaning in a format that has it in meters.
     #[error(
-        "{}: its depth is disparity of unknown meaning, and ROS has depth in meters: record it without --ros2",
+        "{}: its depth is disparity without a known scale, and ROS depth is in meters: record it without --ros2",
         path.display()
     )]
     NoMeters {
@@ -43,7 +43,7 @@ pub enum RecordingError {
     },
     /// An MCAP file that ends too early.
     #[error(
-        "{}: the recording was cut off: {frame_sets} whole frames could be read, what follows is lost; copy it again, or go on with these",
+        "{}: the recording is truncated: {frame_sets} complete frames were read, the rest is lost; copy it again, or use these",
         path.display()
     )]
     Cut {

@@ -41,7 +41,7 @@ impl UnpackBudget {
     /// Takes `length` bytes from it; why not, in a few words.
     pub(super) fn take(&mut self, length: u64) -> Result<(), String> {
         self.left = self.left.checked_sub(length).ok_or_else(|| {
-            format!("it unpacks to more than {LARGEST_RATIO} times its size, as no recording does")
+            format!("it decompresses to more than {LARGEST_RATIO} times its size, which no real recording does")
         })?;
         Ok(())
     }
@@ -49,7 +49,8 @@ impl UnpackBudget {
     /// Takes one record from it; why not, in a few words.
     pub(super) fn take_record(&mut self) -> Result<(), String> {
         let left = self.records.checked_sub(1);
-        self.records = left.ok_or("it unpacks to more records than its size can hold")?;
+        self.records =
+            left.ok_or("it decompresses to more records than a file of its size can hold")?;
         Ok(())
     }
 }

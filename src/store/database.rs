@@ -261,13 +261,13 @@ mod tests {
         let garbage = refusal(|path| std::fs::write(path, vec![7; 10_000]).unwrap());
         assert_eq!(
             garbage,
-            "store DIR/plumb.sqlite: damaged or not a plumb store: file is not a database; check `dmesg` for disk errors, then move it away, or restore it from a copy"
+            "store DIR/plumb.sqlite: damaged, or not a Plumb store: file is not a database; check `dmesg` for disk errors, then run `plumb store repair` (it moves the file aside), or restore a backup"
         );
         let foreign = refusal(|path| {
             Connection::open(path).unwrap().execute_batch("CREATE TABLE cats (id)").unwrap();
         });
         assert!(
-            foreign.contains("not a plumb store: it is another program's database"),
+            foreign.contains("not a Plumb store: it is another program's database"),
             "{foreign}"
         );
         let newer = refusal(|path| {

@@ -48,7 +48,7 @@ pub enum StoreError {
     /// Not a database, that of another program, or a broken one; SQLite reports the same for a disk
     /// that cannot be read.
     #[error(
-        "store {}: damaged or not a plumb store: {detail}; check `dmesg` for disk errors, then move it away, or restore it from a copy",
+        "store {}: damaged, or not a Plumb store: {detail}; check `dmesg` for disk errors, then run `plumb store repair` (it moves the file aside), or restore a backup",
         path.display()
     )]
     Damaged {
@@ -58,7 +58,9 @@ pub enum StoreError {
         detail: String,
     },
     /// A row that cannot be read as the type that it should contain.
-    #[error("store: {row} cannot be read: {detail}; restore the store from a copy")]
+    #[error(
+        "store: {row} cannot be read: {detail}; restore the store from a backup (`plumb store backup` makes one)"
+    )]
     Unreadable {
         /// Which row.
         row: String,
@@ -82,7 +84,7 @@ pub enum StoreError {
         row: String,
     },
     /// A row that may not be deleted.
-    #[error("store: {row} stays: {reason}")]
+    #[error("store: {row} cannot be deleted: {reason}")]
     Held {
         /// The row.
         row: String,
@@ -91,7 +93,7 @@ pub enum StoreError {
     },
     /// Less of the disk would stay free than has to.
     #[error(
-        "store {}: {free_mb} MB are free and {least_mb} MB are to stay free; make room, or give less as `min_free_mb` in [store]",
+        "store {}: only {free_mb} MB are free, and {least_mb} MB must stay free; free some space, or lower `min_free_mb` in [store]",
         path.display()
     )]
     NoRoom {

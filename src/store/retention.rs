@@ -54,12 +54,11 @@ impl Store {
         if SessionState::from_name(&state).is_some_and(|state| !state.is_over()) {
             return Err(StoreError::Held {
                 row: row(),
-                reason: "it is not over; stop it first".to_owned(),
+                reason: "it has not ended; stop it first".to_owned(),
             });
         }
         if !self.prunable()?.iter().any(|(prunable, _)| prunable == id) {
-            let reason =
-                "an approved calibration came from it, which is kept with its views".to_owned();
+            let reason = "an approved calibration was made from it".to_owned();
             return Err(StoreError::Held { row: row(), reason });
         }
         self.changed(|transaction| delete(transaction, id)).map(drop)
@@ -82,7 +81,7 @@ impl Store {
         match deleted {
             None => Err(StoreError::Held {
                 row: row(),
-                reason: "it was approved, and what was approved is kept".to_owned(),
+                reason: "it was approved, and approved calibrations are never deleted".to_owned(),
             }),
             Some(0) => Err(StoreError::Missing { row: row() }),
             Some(_) => Ok(()),
@@ -258,11 +257,11 @@ mod tests {
         let refusal = |error: StoreError| error.to_string();
         assert_eq!(
             refusal(store.delete_session("s9").unwrap_err()),
-            "store: session s9 stays: it is not over; stop it first"
+            "store: session s9 cannot be deleted: it has not ended; stop it first"
         );
         assert_eq!(
             refusal(store.delete_session("s1").unwrap_err()),
-            "store: session s1 stays: an approved calibration came from it, which is kept with its views"
+            "store: session s1 cannot be deleted: an approved calibration was made from it"
         );
         assert_eq!(
             refusal(store.delete_session("s77").unwrap_err()),

@@ -244,7 +244,7 @@ mod tests {
             let store = Store::open(folder.path()).unwrap();
             store.begin_session(&session).unwrap();
             session.frames_seen += 1;
-            session.reason = Some("waits for the camera".into());
+            session.reason = Some("waiting for the camera".into());
             store.save_session(&session).unwrap();
         }
         let store = Store::open(folder.path()).unwrap();

@@ -189,7 +189,7 @@ impl CameraEvents {
     pub fn until_session(&mut self, waits: bool) -> Value {
         self.find("session", if waits { "waits" } else { "goes on" }, |session| {
             let reason = session["reason"].as_str();
-            reason.is_some_and(|reason| reason.starts_with("waits for the camera: ")) == waits
+            reason.is_some_and(|reason| reason.starts_with("waiting for the camera: ")) == waits
         })
     }
 

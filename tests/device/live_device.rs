@@ -239,7 +239,7 @@ fn several_devices_are_distinguished_by_their_serial_numbers() {
     }
     let error =
         open(Origin::Serial("000000000033".to_owned())).map(|_| ()).unwrap_err().to_string();
-    assert!(error.contains("it is not plugged in; 0000000000"), "{error}");
+    assert!(error.contains("it is not plugged in; connected: 0000000000"), "{error}");
 }
 
 fn fleet(
@@ -407,7 +407,10 @@ async fn a_device_that_never_gives_anything_is_reset_in_the_end() {
         _ => None,
     })
     .await;
-    assert_eq!(reset, "000000000007 was lost: it gave no frame 3 times; it was reset");
+    assert_eq!(
+        reset,
+        "000000000007 was lost: it was opened 3 times without delivering a frame, and was reset"
+    );
     showing.switch(true);
     until_state(&mut events, CameraState::Streaming).await;
 }

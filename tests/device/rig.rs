@@ -204,7 +204,7 @@ cameras = ["left", "right"]
     });
     assert_eq!(waiting["state"], "collecting", "{waiting}");
     let reason = waiting["reason"].as_str().unwrap();
-    assert!(reason.starts_with("waits for camera `right`"), "{reason}");
+    assert!(reason.starts_with("waiting for camera `right`"), "{reason}");
     let grown_kb = daemon.resident_kb().saturating_sub(before_kb);
     assert!(grown_kb < FLAT_KB, "{grown_kb} kB more while a camera is gone");
 

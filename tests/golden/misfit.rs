@@ -161,7 +161,7 @@ fn an_uneven_board_is_named_and_no_rolling_shutter() {
             }
         }
         let solved = solve_views(&problem, &brown()).unwrap();
-        assert!(says(&solved, "board uneven by 0.2"), "seed {seed}: {:?}", solved.verdict);
+        assert!(says(&solved, "the board is uneven by 0.2"), "seed {seed}: {:?}", solved.verdict);
         let shape = solved.estimate.board_shape.as_ref().unwrap();
         let off = (shape.unevenness_m - 0.2205e-3) / shape.unevenness_std_m;
         assert!(

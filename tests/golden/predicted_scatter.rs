@@ -181,7 +181,7 @@ fn a_bent_board_is_named_and_its_bow_can_be_estimated() {
     assert!((x - 0.002).abs() < 1e-4 && y.abs() < 1e-4, "bow of {x} {y} m");
     assert!((bowed.estimate.noise - 0.1).abs() < 0.005, "noise {}", bowed.estimate.noise);
     assert!(
-        bowed.verdict.reasons.iter().any(|reason| reason.contains("taken into account")),
+        bowed.verdict.reasons.iter().any(|reason| reason.contains("corrected for")),
         "{:?}",
         bowed.verdict
     );

@@ -84,11 +84,11 @@ fn each_wrong_thing_is_one_clear_line() {
         expect(
             &format!("{name}: a depth frame of zeros each"),
             &with_depth(right.clone(), |_, depth| vec![0; depth.readings().len()]),
-            "none of 11 depth images holds a measured pixel",
+            "none of 11 depth images has a valid reading",
         );
         let mut unit = right.clone();
         unit.depth.reading = Some(DepthReading::Metric { unit_m: 0.001 });
-        expect(&format!("{name}: another unit"), &unit, "check the unit of depth");
+        expect(&format!("{name}: another unit"), &unit, "check the depth unit");
         let mut shuffled = right.clone();
         let depths: Vec<_> = right.frame_sets.iter().map(|capture| capture.depth.clone()).collect();
         for (index, capture) in shuffled.frame_sets.iter_mut().enumerate() {

@@ -128,7 +128,7 @@ fn depth_that_gives_no_lengths_is_said_to_give_none() {
     assert!(good.scale.is_some_and(|scale| scale.views == 6 && scale.readings > 1000));
     assert_eq!(good.verdict, scene.verdict);
 
-    refused(&scene, &changed(&depth, |_, _| 0), "0 surfaces");
+    refused(&scene, &changed(&depth, |_, _| 0), "only 0 scene points");
     let mut few = depth.clone();
     few.images.iter_mut().skip(2).for_each(|image| *image = None);
     refused(&scene, &few, "too few");
@@ -144,10 +144,14 @@ fn depth_that_gives_no_lengths_is_said_to_give_none() {
     let in_unit =
         |unit_m: f64| with(&|sensor| sensor.reading = Some(DepthReading::Metric { unit_m }));
     // Millimeters taken for meters; a factor that leaves depth plausible cannot be known.
-    refused(&scene, &in_unit(1.0), "check its unit");
-    refused(&scene, &with(&|sensor| sensor.reading = None), "what depth's numbers mean");
-    refused(&scene, &with(&|sensor| sensor.factory = None), "are not stated");
+    refused(&scene, &in_unit(1.0), "check their unit");
+    refused(
+        &scene,
+        &with(&|sensor| sensor.reading = None),
+        "the meaning of the depth readings is unknown",
+    );
+    refused(&scene, &with(&|sensor| sensor.factory = None), "are unknown");
     let mut sizes = depth.clone();
     sizes.images[3] = DepthImage::new(ImageSize::new(4, 2), vec![900; 8]).map(Arc::new);
-    refused(&scene, &sizes, "depth images are 640x480 and 4x2");
+    refused(&scene, &sizes, "different sizes (640x480 and 4x2)");
 }

@@ -184,7 +184,7 @@ def test_two_publishers_on_one_topic(walk, participant, daemon):
             driver.wait_for_reader()
         for number in range(4):
             drivers[number % 2].send(ros.image(walk[0], START_NS + number * 10**9))
-        expected = "two publishers send on /front/image_raw; a camera has one publisher: end the other"
+        expected = "two publishers send on /front/image_raw, and a camera has one: stop one of them"
         said = plumb.wait_for_state(events, "front", lambda status: expected in (status["reason"] or ""))
         assert said["state"] == "lost"
 
@@ -197,7 +197,7 @@ def test_a_publisher_that_offers_less_than_before_is_named(walk, participant, da
         driver.send(ros.image(walk[0], START_NS))
         plumb.wait_for_state(events, "front", lambda status: status["state"] == "streaming")
         other = ros.Publisher(participant, "/front/image_raw", ros.Image, reliability=ros.BEST_EFFORT)
-        expected = "a publisher of /front/image_raw offers other QoS than before: Reliability"
+        expected = "a publisher of /front/image_raw changed its QoS: Reliability"
         said = plumb.wait_for_state(events, "front", lambda status: expected in (status["reason"] or ""))
         assert said["state"] == "lost" and "\n" not in said["reason"], said
         del other

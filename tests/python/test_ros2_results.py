@@ -81,7 +81,7 @@ def test_a_session_by_services_ends_in_a_calibration_that_the_driver_keeps(lens,
         early = stop.call(ros.TriggerRequest())
         assert (early.success, early.message) == (False, "no session runs; start one first")
         started = trigger(participant, "start").call(ros.TriggerRequest())
-        assert started.success and started.message.endswith("collects"), started
+        assert started.success and started.message.endswith("started"), started
         assert state.take().data == "collecting"
         publish_walk(walk, images, events, every=3)
         stopped = stop.call(ros.TriggerRequest())

@@ -149,10 +149,10 @@ fn each_wrong_thing_is_one_clear_line() {
         (
             "zeros",
             Change::Depth(zeros),
-            "none of 14 depth images holds a measured pixel, all read 0 everywhere",
+            "none of 14 depth images has a valid reading (every pixel is 0)",
         ),
         ("no unit", Change::Stated("[depth]\nkind = \"depth\"\n"), "unit_m"),
-        ("another unit", Change::Stated(other_unit), "check the unit of depth"),
+        ("another unit", Change::Stated(other_unit), "check the depth unit"),
         ("no kind", Change::Stated("[depth]\nunit_m = 0.001\n"), "kind"),
     ];
     for with_infrared in [true, false] {
@@ -188,7 +188,7 @@ fn what_is_missing_blank_or_of_another_scale_is_reported() {
     let table: [(Change, [&str; 2]); 3] = [
         (Change::DepthInHalf, ["have no depth", "01"]),
         (Change::OneBlank, ["reads 0 everywhere", "03"]),
-        (Change::Stated(LARGE_UNITS), ["off the board in every view", "a square is"]),
+        (Change::Stated(LARGE_UNITS), ["% in every view", "a square is"]),
     ];
     for (change, words) in table {
         let finished = calibrated(&sets, change, true);

@@ -38,18 +38,20 @@ pub struct SceneDepth {
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum NoScale {
     /// A rotation has no lengths.
-    #[error("the camera only rotated, which has no lengths; move it too")]
+    #[error("the camera only rotated, so the scale cannot be determined; also move it sideways")]
     OnlyRotated,
     /// The meaning of the disparity is unknown.
-    #[error("what depth's numbers mean is not stated: state it, or calibrate depth with a board")]
+    #[error(
+        "the meaning of the depth readings is unknown: state it (in a folder's sensors.toml), or calibrate depth with a board"
+    )]
     NoReading,
     /// The depth camera's lens or pose is unknown, so a point's pixel in the depth image is too.
     #[error(
-        "depth's lens and where it is from color are not stated: a folder's sensors.toml has depth.lens and color_from_depth, a recording the camera_info and tf_static of both"
+        "the depth camera's lens and its pose relative to color are unknown: give depth.lens and color_from_depth in the folder's sensors.toml; a recording needs camera_info and tf_static of both sensors"
     )]
     NoLens,
     /// Depth images of several sizes have no common lens.
-    #[error("depth images are {first} and {other}: a lens is of one size")]
+    #[error("depth images have different sizes ({first} and {other}): use images of one size")]
     DifferentSizes {
         /// The first.
         first: ImageSize,
@@ -58,7 +60,7 @@ pub enum NoScale {
     },
     /// Too few scene points have a reading.
     #[error(
-        "depth measured {readings} surfaces with scene points in {views} images, which is too few: show surfaces within depth's reach"
+        "only {readings} scene points in {views} images have a depth reading, which is too few: show surfaces within the depth camera's range"
     )]
     TooFew {
         /// Readings.
@@ -68,7 +70,7 @@ pub enum NoScale {
     },
     /// The depth images do not show the scene.
     #[error(
-        "depth does not fit the scene (ratios scatter by {percent:.0} %): check that depth is of the same moments, and its lens and pose"
+        "depth does not fit the scene (the scale ratios scatter by {percent:.0} %): check that depth and color were taken at the same time, and the depth camera's lens and pose"
     )]
     Disagrees {
         /// The standard deviation of ratios.
@@ -76,7 +78,7 @@ pub enum NoScale {
     },
     /// No depth camera measures that.
     #[error(
-        "depth says that things are {distance_m} m away, which no depth camera measures: check its unit"
+        "the depth readings ({distance_m} m) are outside any depth camera's range: check their unit"
     )]
     Implausible {
         /// The median depth.

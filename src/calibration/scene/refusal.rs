@@ -27,7 +27,9 @@ pub enum SceneRefusal {
         views: usize,
     },
     /// The files state different cameras.
-    #[error("`{name}` is by {camera}, `{other}` by {expected}: all images must be by one camera")]
+    #[error(
+        "`{name}` was taken with {camera}, `{other}` with {expected}: all images must be from one camera"
+    )]
     DifferentCameras {
         /// The image of another camera.
         name: String,
@@ -54,7 +56,7 @@ pub enum SceneRefusal {
     },
     /// One camera has one size.
     #[error(
-        "`{name}` is {size}, the others are {expected}: all images must be by one camera, uncropped"
+        "`{name}` is {size}, the others are {expected}: all images must be from one camera, uncropped"
     )]
     DifferentSizes {
         /// The image of another size.
@@ -74,7 +76,7 @@ pub enum SceneRefusal {
     },
     /// Too few matches are inliers.
     #[error(
-        "no two images show the same scene: between neighbors a median of {between_neighbors} matches agree; take smaller steps, and something whose texture does not repeat"
+        "no two images show the same scene (median of {between_neighbors} inlier matches between consecutive images): take smaller steps, and choose a scene without repeated texture"
     )]
     NothingAgrees {
         /// The median number of inlier matches between an image and the next.
@@ -82,7 +84,7 @@ pub enum SceneRefusal {
     },
     /// Only a time stamp or the like matches, not the scene.
     #[error(
-        "no two images show the same scene from two places: what {pairs} pairs of them share stays at its place in the image, as a time stamp does; take smaller steps around something with texture"
+        "no two images show the same scene from different places: the matches of {pairs} pairs are at the same pixels in both images, like a time stamp; take smaller steps around a textured scene"
     )]
     OnlyWhatStays {
         /// How many pairs of images share that.
@@ -90,7 +92,7 @@ pub enum SceneRefusal {
     },
     /// The texture repeats, so matches are ambiguous.
     #[error(
-        "the texture repeats: {percent:.0} % of what an image shows is alike at several places of the next one, so that matches are ambiguous; photograph something whose texture does not repeat"
+        "the texture repeats: {percent:.0} % of the features match at several places in the next image; photograph a scene without repeated texture"
     )]
     RepeatedTexture {
         /// The part of the features of an image that the next shows at several places: the median.
@@ -113,7 +115,7 @@ pub enum SceneRefusal {
     HardlyAnyParallax,
     /// Only a part of the images is connected by matches.
     #[error(
-        "only {used} of {images} images hang together: too few matches between neighbors (a median of {between_neighbors}), too little texture or too large steps"
+        "only {used} of {images} images are connected by matches (median between consecutive images: {between_neighbors}): take smaller steps, and choose a scene with more texture"
     )]
     TooFewConnected {
         /// Images with a pose.
@@ -125,7 +127,7 @@ pub enum SceneRefusal {
     },
     /// Focal length and depth are not separable.
     #[error(
-        "the camera moved forward (within {angle_deg:.0} degrees of where it points): focal length, distortion and depth trade; move it sideways, and rotate it about its axis"
+        "the camera moved along its optical axis (within {angle_deg:.0} degrees), where focal length, distortion and depth are correlated; move it sideways, and rotate it about its optical axis"
     )]
     ForwardMotion {
         /// The root mean square angle between motion and optical axis.
@@ -133,7 +135,7 @@ pub enum SceneRefusal {
     },
     /// The focal length is too uncertain to be of use.
     #[error(
-        "the images do not determine the focal length (known to {percent:.0} % only): move the camera sideways around the scene, and rotate it by 90 degrees about its axis for some images"
+        "the images do not determine the focal length (uncertainty {percent:.0} %): move the camera sideways around the scene, and rotate it by 90 degrees about its axis for some images"
     )]
     FocalUndetermined {
         /// Its standard deviation over itself.
@@ -148,7 +150,7 @@ pub enum SceneRefusal {
         model: crate::geometry::lens::LensModel,
     },
     /// Nobody waits for it any more.
-    #[error("the calibration was ended before it was done")]
+    #[error("the calibration was canceled; start it again")]
     Interrupted,
     /// The solution is not finite.
     #[error(

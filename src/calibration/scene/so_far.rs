@@ -79,7 +79,7 @@ fn after(calibration: &SceneCalibration) -> String {
     } else if calibration.checks.coverage < LEAST_COVERAGE {
         format!("{TEXTURE} that fills the whole image")
     } else {
-        "go on around the scene: each view from a new place makes the result surer".to_owned()
+        "continue around the scene: each view from a new place lowers the uncertainty".to_owned()
     }
 }
 

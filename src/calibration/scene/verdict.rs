@@ -87,7 +87,7 @@ fn focal(evidence: &Evidence<'_>) -> Option<Finding> {
 
 fn projections(evidence: &Evidence<'_>) -> Option<Finding> {
     let Some(map) = evidence.map else {
-        let reason = "it is not known where in the image projections can be trusted".to_owned();
+        let reason = "the projection uncertainty cannot be computed: add images that show texture in all parts of the image".to_owned();
         return Some(Finding { grade: Grade::Poor, reason });
     };
     let known = KnownImage::of(map);
@@ -96,7 +96,7 @@ fn projections(evidence: &Evidence<'_>) -> Option<Finding> {
     Finding::worse_than_good(
         known.grade(),
         format!(
-            "projections are uncertain by more than {good_px:.2} px (1 sigma) in {percent:.0} % of the image, by up to {worst_px:.2} px: add images that show texture there"
+            "the projection uncertainty exceeds {good_px:.2} px (1 sigma) in {percent:.0} % of the image, and reaches {worst_px:.2} px: add images that show texture there"
         ),
     )
 }
@@ -109,14 +109,14 @@ fn shared_error(evidence: &Evidence<'_>) -> Option<Finding> {
         // Panned by hand 3 and 8 cm before the axis, a camera 3 m from a wall was off by 4 and 5 of
         // its standard deviations: a lens that is too long takes up most of the parallax.
         let reason = format!(
-            "observations are off together {factor:.1} times as much as by themselves: the camera's center moved as it rotated, which makes the focal length too long by more than is stated; rotate the camera about its lens, or step sideways between the images"
+            "the residuals are correlated ({factor:.1} times the uncertainty of independent observations): the camera center moved during the rotation, which biases the focal length upwards by more than the stated uncertainty; rotate the camera about its lens, or step sideways between images"
         );
         return Some(Finding { grade: Grade::Poor, reason });
     }
     Finding::worse_than_good(
         Grade::of_figure(factor, SHARED_ERROR_FACTORS),
         format!(
-            "observations are off together, which makes the result {factor:.1} times as uncertain as their scatter alone would: try another lens model, and check that the scene is static"
+            "the residuals are correlated, which makes the result {factor:.1} times as uncertain as independent noise would: try another lens model, and check that the scene is static"
         ),
     )
 }
@@ -128,7 +128,7 @@ fn outliers(evidence: &Evidence<'_>) -> Option<Finding> {
     Finding::worse_than_good(
         Grade::of_figure(part, OUTLIERS),
         format!(
-            "{percent:.0} % of the observations disagree: check for moving things, reflections and blur"
+            "{percent:.0} % of the observations are outliers: check for moving objects, reflections and blur"
         ),
     )
 }
@@ -136,7 +136,7 @@ fn outliers(evidence: &Evidence<'_>) -> Option<Finding> {
 fn motion(evidence: &Evidence<'_>) -> Option<Finding> {
     let SceneConditions { motion, parallax_deg, relief, rolled_deg, .. } = *evidence.conditions;
     let reason = if motion == CameraMotion::RotationOnly {
-        "the camera only rotated: the lens follows from the rotations alone; move it too".to_owned()
+        "the camera only rotated, so the lens is determined from rotation alone: also move it sideways".to_owned()
     } else if parallax_deg < PARALLAX_DEG {
         format!(
             "little parallax ({parallax_deg:.1} degrees in the median): move the camera further around the scene"
@@ -156,8 +156,8 @@ pub(super) fn unfit_focal(nominal: NominalFocal, (fx, std): (f64, f64)) -> Optio
     let excluded = (fx - focal_px).abs() > EXCLUDED_SIGMAS * std.hypot(std_px);
     excluded.then(|| {
         format!(
-            "the EXIF focal length {focal_px:.0} px (± {std_px:.0} by its rounding) does not fit: \
-             estimated {fx:.0} ± {std:.0} px; cropped images or a near focus also change it"
+            "the EXIF focal length {focal_px:.0} px (± {std_px:.0} from rounding) does not fit the \
+             estimate of {fx:.0} ± {std:.0} px: check for cropped or scaled images, or close focus"
         )
     })
 }
@@ -172,7 +172,7 @@ fn cropped(evidence: &Evidence<'_>) -> Option<Finding> {
     ];
     let [x, y] = parts.map(|part| 100.0 * part);
     let reason = format!(
-        "the images seem to be parts of larger ones: the principal point is {x:+.0} % of the width and {y:+.0} % of the height from the middle; give whole images if there are"
+        "the images seem to be cropped: the principal point is {x:+.0} % of the width and {y:+.0} % of the height from the image center; use uncropped images if available"
     );
     (*cropped > 0.5).then_some(Finding { grade: Grade::Good, reason })
 }
@@ -180,9 +180,9 @@ fn cropped(evidence: &Evidence<'_>) -> Option<Finding> {
 fn held(evidence: &Evidence<'_>) -> Option<Finding> {
     let names = evidence.held_by_prior.join(", ");
     let is_center = ["cx", "cy"].iter().any(|name| evidence.held_by_prior.contains(name));
-    let whole = if is_center { " and that images are whole" } else { "" };
+    let whole = if is_center { " (which assumes uncropped images)" } else { "" };
     let reason = format!(
-        "the images say no more of {names} than what lenses are like beforehand{whole}: rotate the camera by 90 degrees about its axis for some images"
+        "the images do not determine {names} beyond the prior for ordinary lenses{whole}: rotate the camera by 90 degrees about its axis for some images"
     );
     (!evidence.held_by_prior.is_empty()).then_some(Finding { grade: Grade::Usable, reason })
 }
@@ -196,7 +196,7 @@ mod tests {
         let nominal = NominalFocal { focal_px: 2866.0, std_px: 24.0 };
         let said = unfit_focal(nominal, (2976.0, 8.0)).unwrap();
         assert!(said.starts_with("the EXIF focal length 2866 px"), "{said}");
-        assert!(said.contains("does not fit: estimated 2976 ± 8 px"), "{said}");
+        assert!(said.contains("does not fit the estimate of 2976 ± 8 px"), "{said}");
         assert_eq!(unfit_focal(nominal, (2920.0, 8.0)), None);
         assert_eq!(unfit_focal(nominal, (2976.0, 80.0)), None);
     }

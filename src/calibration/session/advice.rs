@@ -93,20 +93,20 @@ impl Advice {
 fn note(suggested: &SuggestedView, views: usize, now: &Now<'_>) -> Option<String> {
     if now.halves_disagree {
         return Some(
-            "the goal is reached, but halves of the views disagree: see that the board is flat and held still, and that focus and zoom stay as they are"
+            "the goal is reached, but two halves of the views give different results: check that the board is flat and held still, and that focus and zoom are fixed"
                 .to_owned(),
         );
     }
     let ([few, _], goal_px) = (suggested.views_to_go?, now.goal_px?);
     (views >= VIEWS_BEFORE_DOUBT && few > now.room).then(|| {
         // Depth is usually limited by its readings, not by the corners: the advice differs.
-        let (what, mends) = if suggested.is_for_depth {
-            (" where color sees what depth measures", "a larger board or a greater goal brings")
+        let (what, remedy) = if suggested.is_for_depth {
+            (" for depth projected into color", "use a larger board or raise the goal")
         } else {
-            ("", "a larger board, sharper images or more light bring")
+            ("", "use a larger board, sharper images or more light")
         };
         format!(
-            "{goal_px} px{what} cannot be reached like this, it would take {few} more views: {mends} it nearer"
+            "the goal of {goal_px} px{what} is out of reach (it would take {few} more views): {remedy}"
         )
     })
 }

@@ -14,8 +14,8 @@ pub(super) struct CameraWait {
 impl fmt::Display for CameraWait {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match &self.camera {
-            Some(camera) => write!(f, "waits for camera `{camera}`: {}", self.reason),
-            None => write!(f, "waits for the camera: {}", self.reason),
+            Some(camera) => write!(f, "waiting for camera `{camera}`: {}", self.reason),
+            None => write!(f, "waiting for the camera: {}", self.reason),
         }
     }
 }

@@ -99,7 +99,7 @@ impl SessionRecord {
             };
             return self.solve_or_fail(enough.map_err(ended), now_ns);
         }
-        self.reason = Some(format!("{reason}; stop the session to solve what it gathered"));
+        self.reason = Some(format!("{reason}; stop the session to solve from the kept views"));
         vec![Action::Announce]
     }
 

@@ -16,11 +16,11 @@ pub const LEAST_VIEWS: usize = 3;
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub(super) enum NotEnough {
     /// Too few views of a board, where most frames were rejected for their size.
-    #[error("{kept} views were kept and at least {LEAST_VIEWS} are needed; {SIZE_CHANGED}")]
+    #[error("only {kept} views were kept; at least {LEAST_VIEWS} are needed; {SIZE_CHANGED}")]
     SizeChanged { kept: usize },
     /// Too few views of a board.
     #[error(
-        "{kept} views were kept and at least {LEAST_VIEWS} are needed; {}start again and show the board in more positions, tilted in different directions",
+        "only {kept} views were kept; at least {LEAST_VIEWS} are needed; {}start again and show the board in more positions, tilted in different directions",
         clause(rejected.as_ref())
     )]
     Views {
@@ -30,7 +30,7 @@ pub(super) enum NotEnough {
     },
     /// Fewer than two cameras of a rig have enough.
     #[error(
-        "views kept: {}; two cameras need at least {LEAST_VIEWS} each; {}start again and show the board where two cameras see all of it",
+        "views kept: {}; at least two cameras need {LEAST_VIEWS} views each; {}start again and show the board where two cameras see all of it",
         kept.iter().map(ToString::to_string).collect::<Vec<_>>().join(", "),
         clause(rejected.as_ref())
     )]
@@ -41,13 +41,13 @@ pub(super) enum NotEnough {
         rejected: Option<CameraRejection>,
     },
     /// Too few key frames of a scene.
-    #[error("{kept} key frames were kept and at least {LEAST_VIEWS} are needed: {why}")]
+    #[error("only {kept} key frames were kept; at least {LEAST_VIEWS} are needed: {why}")]
     KeyFrames { kept: usize, why: FewKeyFrames },
     /// Most images of a scene share nothing with its few key frames.
     #[error("{unknown} of {images} images share too little with the key frames: {why}")]
     UnknownImages { unknown: u64, images: u64, why: NothingShared },
     /// A camera delivers no frames.
-    #[error("it {wait}; {cause}")]
+    #[error("still {wait}; {cause}")]
     Waiting { wait: CameraWait, cause: Box<Self> },
     /// The session has collected as long as it may.
     #[error("the time is up: {cause}")]

@@ -291,7 +291,7 @@ fn cameras_that_know_themselves_are_asked_for_what_both_see_until_they_know_each
     while !shown.solves {
         let record = shown.session.record();
         let guidance = &record.guidance;
-        let asked = "where left and right both see it, in the image of left: ";
+        let asked = "keep the board in view of left and right; in the image of left: ";
         assert!(guidance.message.starts_with(asked), "{}", guidance.message);
         assert!(guidance.views_to_go.is_some_and(|[few, many]| few <= many));
         assert!(guidance.expected_uncertainty_px.is_some_and(|px| px < together_px));

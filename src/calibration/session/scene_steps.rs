@@ -25,7 +25,7 @@ pub(super) enum FewKeyFrames {
     NoTexture,
     /// Most images are like a key frame, though the camera moved.
     #[error(
-        "the camera moved too little; start again and move it around the scene, or sideways by a tenth of its distance and more"
+        "the camera moved too little; start again and move it around the scene, or sideways by at least a tenth of the distance to it"
     )]
     SmallSteps,
     /// Most images are like a key frame.
@@ -35,7 +35,9 @@ pub(super) enum FewKeyFrames {
     #[error(transparent)]
     NothingShared(NothingShared),
     /// Many images are like a key frame, many others share nothing with any.
-    #[error("{similar} images are too much like them, {unknown} show nothing of them; {why}")]
+    #[error(
+        "{similar} images are too similar to the key frames, {unknown} share nothing with them; {why}"
+    )]
     SimilarAndUnknown { similar: u64, unknown: u64, why: NothingShared },
 }
 
@@ -44,12 +46,12 @@ pub(super) enum FewKeyFrames {
 pub(super) enum NothingShared {
     /// Nor do they with their neighbors.
     #[error(
-        "neighbors share nothing (a median of 0 matches agree): the steps were too large or the texture too little; start again with smaller steps, in front of something with texture"
+        "consecutive images share no inlier matches (median 0): the steps were too large, or there was too little texture; start again with smaller steps, in front of something with texture"
     )]
     UnmatchedNeighbors,
     /// They do with their neighbors: `matches` is the median number of inlier matches.
     #[error(
-        "neighbors share a median of {matches} matches: the camera went on to another scene, or around this one by too large steps; start again with smaller steps, and keep one scene in view"
+        "consecutive images share {matches} inlier matches (median): the camera moved on to another scene, or took too large steps around this one; start again with smaller steps, and keep one scene in view"
     )]
     MatchedNeighbors { matches: usize },
     /// No image with a neighbor to compare it with.

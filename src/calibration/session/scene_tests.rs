@@ -251,9 +251,9 @@ fn what_did_not_match_is_not_said_to_have_stood_still() {
     let moved = reason(near(12));
     assert!(moved.contains("the camera moved too little"), "{moved}");
     let lost = reason(near(1).into_iter().chain(others(5)).collect());
-    assert!(lost.contains("a median of 0 matches"), "{lost}");
+    assert!(lost.contains("no inlier matches (median 0)"), "{lost}");
     let both = reason(near(6).into_iter().chain(others(4)).collect());
-    assert!(both.contains("5 images are too much like them, 4 show nothing"), "{both}");
+    assert!(both.contains("5 images are too similar to the key frames, 4 share nothing"), "{both}");
     for reason in [moved, lost, both] {
         assert!(!reason.contains("stood still"), "{reason}");
     }

@@ -78,7 +78,7 @@ pub(super) fn next_step(members: &[SessionMember], requested: Option<[usize; 2]>
     };
     if let Some((_, isolated)) = members.iter().enumerate().find(is_isolated) {
         return format!(
-            "hold the board still where {} and another camera see all of it",
+            "hold the board still where both {} and another camera see the whole board",
             isolated.camera
         );
     }
@@ -86,7 +86,7 @@ pub(super) fn next_step(members: &[SessionMember], requested: Option<[usize; 2]>
         requested.map(|requested| requested.map(|camera| &members[camera]))
     {
         return format!(
-            "where {} and {} both see it, in the image of {}: {}",
+            "keep the board in view of {} and {}; in the image of {}: {}",
             first.camera, other.camera, first.camera, first.guidance.message
         );
     }

@@ -227,14 +227,15 @@ fn time_is_that_of_the_frames_and_ends_it() {
             .reason
             .as_ref()
             .unwrap()
-            .starts_with("the time is up: 0 views were kept and at least 3")
+            .starts_with("the time is up: only 0 views were kept; at least 3")
     );
 
     let mut lost = session(finish);
     lost.camera_lost(0, "camera 7 was lost: unplugged");
     assert_eq!(lost.waited(10.1), [Action::Close]);
     let reason = lost.record().reason.clone().unwrap();
-    let waits = "the time is up: it waits for the camera: camera 7 was lost: unplugged; 0 views";
+    let waits =
+        "the time is up: still waiting for the camera: camera 7 was lost: unplugged; only 0";
     assert!(reason.starts_with(waits), "{reason}");
 }
 
@@ -250,7 +251,7 @@ fn too_few_views_fail_and_stay() {
             .reason
             .as_ref()
             .unwrap()
-            .contains("2 views were kept and at least 3 are needed")
+            .contains("only 2 views were kept; at least 3 are needed")
     );
 }
 
@@ -266,7 +267,7 @@ fn images_that_change_size_are_the_reason() {
     }
     session.stop(NOW_NS).unwrap();
     let reason = session.record().reason.clone().unwrap();
-    assert!(reason.starts_with("1 views were kept and at least 3 are needed; "), "{reason}");
+    assert!(reason.starts_with("only 1 views were kept; at least 3 are needed; "), "{reason}");
     assert!(reason.ends_with("keep the camera at one size and start again"), "{reason}");
 }
 
@@ -307,7 +308,7 @@ fn a_loss_is_waited_through_and_said() {
     feed(&mut session, 0, &placements()[..4]);
     assert_eq!(session.camera_lost(0, "unplugged"), [Action::Announce]);
     assert_eq!(session.camera_lost(0, "unplugged"), [], "said once");
-    assert_eq!(session.record().reason.as_deref(), Some("waits for the camera: unplugged"));
+    assert_eq!(session.record().reason.as_deref(), Some("waiting for the camera: unplugged"));
     assert_eq!(session.camera_back(), [Action::Announce]);
     assert_eq!(session.record().reason, None);
     feed(&mut session, 100, &placements()[4..5]);
@@ -406,7 +407,7 @@ fn what_is_asked_for_has_a_place_a_worth_and_views_to_go() {
     assert!(0 < few && few <= many);
     feed(&mut session, 1, &placements()[1..10]);
     let message = &session.record().guidance.message;
-    assert!(message.contains("cannot be reached"), "{message}");
+    assert!(message.contains("out of reach"), "{message}");
 }
 
 #[test]

@@ -132,13 +132,13 @@ impl RealsenseCamera {
             } else {
                 serials.join(", ")
             };
-            return Err(lost(format!("it is not plugged in; {others} there")));
+            return Err(lost(format!("it is not plugged in; connected: {others}")));
         };
         if self.barren.load(Ordering::Relaxed) >= OPENINGS_BEFORE_RESET {
             self.barren.store(0, Ordering::Relaxed);
             devices.swap_remove(at).hardware_reset();
             return Err(lost(format!(
-                "it gave no frame {OPENINGS_BEFORE_RESET} times; it was reset"
+                "it was opened {OPENINGS_BEFORE_RESET} times without delivering a frame, and was reset"
             )));
         }
         let config =
@@ -156,7 +156,8 @@ impl RealsenseCamera {
             .size
             .map_or((0, 0), |size| (size.width as usize, size.height as usize));
         let fps = self.options.mode.fps.map_or(DEFAULT_FPS, |fps| fps.round() as usize);
-        let number = CString::new(serial).map_err(|_| format!("{serial:?} is no serial number"))?;
+        let number =
+            CString::new(serial).map_err(|_| format!("{serial:?} is not a valid serial number"))?;
         let offered: Vec<StreamProfile> =
             device.sensors().iter().flat_map(Sensor::stream_profiles).collect();
         let mut config = Config::new();

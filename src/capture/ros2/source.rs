@@ -142,7 +142,7 @@ impl Ros2Source {
         self.losses.missed +=
             self.senders[index].count(sample.writer, sample.sequence).map_err(|problem| {
                 let name = &self.offered[index].name;
-                self.lost(format!("{problem} {name}; a camera has one publisher: end the other"))
+                self.lost(format!("{problem} {name}, and a camera has one: stop one of them"))
             })?;
         match self.messages.take_image(index, &sample.bytes, now().utc_ns) {
             Ok(()) => {}
@@ -163,7 +163,7 @@ impl Ros2Source {
                     }
                     ReaderChange::Incompatible(policy) => {
                         return Err(self.lost(format!(
-                            "a publisher of {} offers other QoS than before: {policy}",
+                            "a publisher of {} changed its QoS: {policy}",
                             offered.name
                         )));
                     }
@@ -188,7 +188,7 @@ impl SensorSizes {
             match self.0.insert(*sensor, *size) {
                 Some(before) if before != *size => {
                     let sensor = sensor.name();
-                    return Err(format!("its {sensor} images were {before} and are {size} now"));
+                    return Err(format!("its {sensor} images changed from {before} to {size}"));
                 }
                 _ => {}
             }

@@ -101,14 +101,11 @@ impl V4l2Camera {
         if multiplanar {
             return failed(
                 &node.path,
-                "gives its images in several planes, which Plumb does not read",
+                "delivers multi-planar images, which Plumb does not support",
             );
         }
         if node.index > 0 {
-            return failed(
-                &node.path,
-                "gives no images but what accompanies them; use the device's first node",
-            );
+            return failed(&node.path, "is a metadata node; use the device's first node");
         }
         idle(node)
     }

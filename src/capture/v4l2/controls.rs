@@ -59,7 +59,7 @@ pub(super) enum ControlError {
     #[error("no control {name}; it has {}", known.join(", "))]
     Unknown { name: String, known: Vec<String> },
     /// The device has no control that can be set.
-    #[error("no control {name}: it has none; remove `controls`")]
+    #[error("no control {name}: the device has no controls; remove `controls`")]
     NoControls { name: String },
     /// The value is out of the control's range.
     #[error("control {name} takes {minimum} to {maximum}")]

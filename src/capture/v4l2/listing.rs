@@ -95,7 +95,7 @@ fn listed(node: &DeviceNode) -> Option<ListedDevice> {
     };
     if !capability.streams_video() {
         device.problem =
-            Some("gives its images in several planes, which Plumb does not read".to_owned());
+            Some("delivers multi-planar images, which Plumb does not support".to_owned());
         return capability.is_multiplanar().then_some(device);
     }
     device.driver = Some(capability.driver);

@@ -82,7 +82,7 @@ pub(super) enum ModeError {
     #[error("{0}")]
     Unfit(String),
     /// It has no image to describe: a loopback device that no program feeds.
-    #[error("it gives no video at present; start the program that feeds it")]
+    #[error("no video at present (loopback device); start the program that feeds it")]
     Idle,
     /// The device refused.
     #[error("{0}")]
@@ -141,7 +141,7 @@ fn choose(
             .find(|code| named(code) && offered.contains(code))
             .ok_or_else(|| {
                 ModeError::Unfit(format!(
-                    "no format {}; it offers {} that Plumb reads",
+                    "no format {}; supported by the device and Plumb: {}",
                     wanted.trim(),
                     names()
                 ))

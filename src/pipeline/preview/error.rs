@@ -36,7 +36,7 @@ pub enum PreviewError {
     },
     /// There is no current calibration of this sensor.
     #[error(
-        "camera `{camera}` has no approved calibration of {} to undistort with; run a session",
+        "camera `{camera}` has no approved calibration of {} to undistort with; run a session and approve its calibration",
         sensor.name()
     )]
     NotCalibrated {
