@@ -210,7 +210,7 @@ impl McapReader {
             McapRecord::Message { header, data } => match self.topics.get(&header.channel_id) {
                 Some((Topic::Frames { sensor, .. }, schema)) => {
                     let frame = decode_frame(schema, *sensor, &data)
-                        .map_err(|reason| self.unreadable(reason))?;
+                        .map_err(|error| self.unreadable(error.to_string()))?;
                     return Ok(self.gather(frame, &header));
                 }
                 Some((Topic::Calibration { sensor, .. }, _)) => {

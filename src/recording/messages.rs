@@ -158,25 +158,49 @@ pub(super) fn decode_pose(bytes: &[u8]) -> Option<Pose> {
     is_pose.then(|| Pose::new(nalgebra::UnitQuaternion::from_quaternion(quaternion), translation))
 }
 
-/// The frame that a message of `schema` holds; why not, in a few words.
+/// Why a message of Foxglove has no image that is read.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub(super) enum FoxgloveImageError {
+    /// Its bytes are no such message.
+    #[error("{detail}")]
+    Message { detail: String },
+    /// A compressed image that is neither JPEG nor PNG.
+    #[error("images compressed as {format:?}, not jpeg or png")]
+    UnknownCompression { format: String },
+    /// Pixels in an encoding that is not read.
+    #[error(
+        "raw images encoded as {encoding:?}, not mono8, mono16, yuyv, uyvy, nv12, rgb8, bgr8 or 16UC1"
+    )]
+    UnknownEncoding { encoding: String },
+    /// No message with an image.
+    #[error("messages of schema {schema:?}, not {COMPRESSED_IMAGE} or {RAW_IMAGE}")]
+    UnknownSchema { schema: String },
+}
+
+/// The frame that a message of `schema` holds.
 pub(super) fn decode_frame(
     schema: &str,
     sensor: SensorKind,
     bytes: &[u8],
-) -> Result<Frame, String> {
+) -> Result<Frame, FoxgloveImageError> {
     match schema {
         COMPRESSED_IMAGE => {
-            let message = CompressedImage::decode(bytes).map_err(|error| error.to_string())?;
+            let message = CompressedImage::decode(bytes)
+                .map_err(|error| FoxgloveImageError::Message { detail: error.to_string() })?;
             let format = match message.format.to_ascii_lowercase().as_str() {
                 "png" => PixelFormat::Png,
                 text if text.contains("jpeg") || text.contains("jpg") => PixelFormat::Jpeg,
-                other => return Err(format!("images compressed as {other:?}, not jpeg or png")),
+                other => {
+                    let format = other.to_owned();
+                    return Err(FoxgloveImageError::UnknownCompression { format });
+                }
             };
             let size = file_size(&message.data).unwrap_or(ImageSize::new(0, 0));
             Ok(Frame { sensor, size, format, stride: 0, bytes: message.data.as_ref().into() })
         }
         RAW_IMAGE => {
-            let message = RawImage::decode(bytes).map_err(|error| error.to_string())?;
+            let message = RawImage::decode(bytes)
+                .map_err(|error| FoxgloveImageError::Message { detail: error.to_string() })?;
             let format = match message.encoding.as_str() {
                 "mono8" | "8UC1" => PixelFormat::Mono8,
                 "yuyv" | "yuv422_yuy2" => PixelFormat::Yuyv,
@@ -187,8 +211,8 @@ pub(super) fn decode_frame(
                 "mono16" if sensor != SensorKind::Depth => PixelFormat::Mono16,
                 "16UC1" | "mono16" => PixelFormat::Depth16,
                 other => {
-                    let known = "mono8, mono16, yuyv, uyvy, nv12, rgb8, bgr8 or 16UC1";
-                    return Err(format!("raw images encoded as {other:?}, not {known}"));
+                    let encoding = other.to_owned();
+                    return Err(FoxgloveImageError::UnknownEncoding { encoding });
                 }
             };
             let size = ImageSize::new(message.width, message.height);
@@ -200,9 +224,7 @@ pub(super) fn decode_frame(
                 bytes: message.data.as_ref().into(),
             })
         }
-        other => {
-            Err(format!("messages of schema {other:?}, not {COMPRESSED_IMAGE} or {RAW_IMAGE}"))
-        }
+        other => Err(FoxgloveImageError::UnknownSchema { schema: other.to_owned() }),
     }
 }
 

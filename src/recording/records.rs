@@ -13,7 +13,7 @@ use std::path::Path;
 use mcap::records::op;
 
 use crate::recording::fields::{Fields, TooShort};
-use crate::recording::unpack::{Compression, UnpackBudget, read_exactly};
+use crate::recording::unpack::{Compression, OverBudget, UnpackBudget, read_exactly};
 
 /// The longest record that is believed: above an uncompressed image of 120 megapixels in 16 bits.
 pub(super) const LONGEST_RECORD: u64 = 256 << 20;
@@ -35,6 +35,12 @@ pub(super) enum Broken {
     Damaged(String),
     /// The system refused.
     Io(std::io::Error),
+}
+
+impl From<OverBudget> for Broken {
+    fn from(error: OverBudget) -> Self {
+        Self::Damaged(error.to_string())
+    }
 }
 
 /// A record, as far as recordings are read for it.
@@ -159,7 +165,7 @@ impl RecordReader {
         if let Some(chunk) = &mut self.chunk {
             chunk.left = chunk.left.checked_sub(RECORD_HEADER).ok_or_else(longer)?;
             if chunk.unpacked.is_some() {
-                self.budget.take_record().map_err(Broken::Damaged)?;
+                self.budget.take_record()?;
             }
         }
         let header = self.read_exact(RECORD_HEADER)?;
@@ -191,7 +197,7 @@ impl RecordReader {
         let compression = Compression::from_name(&name)
             .ok_or_else(|| damaged(&format!("chunks compressed by {name:?}, not zstd or lz4")))?;
         let packed = self.read_vec(packed_size, LONGEST_RECORD)?;
-        self.budget.take(unpacked_size).map_err(Broken::Damaged)?;
+        self.budget.take(unpacked_size)?;
         let unpacked = compression.reader(Cursor::new(packed)).map_err(Broken::Io)?;
         self.chunk = Some(Chunk { left: unpacked_size, unpacked: Some(unpacked) });
         Ok(())

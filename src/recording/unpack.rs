@@ -17,6 +17,19 @@ const LEAST_BYTES_PER_RECORD: u64 = 2;
 /// What is unpacked at once.
 const READ_AHEAD_BYTES: usize = 64 << 10;
 
+/// A file that unpacks to more than a recording of its size can hold.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub(super) enum OverBudget {
+    /// In bytes.
+    #[error(
+        "it decompresses to more than {LARGEST_RATIO} times its size, which no real recording does"
+    )]
+    Bytes,
+    /// In records.
+    #[error("it decompresses to more records than a file of its size can hold")]
+    Records,
+}
+
 /// How much may still be unpacked from a file.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct UnpackBudget {
@@ -38,19 +51,15 @@ impl UnpackBudget {
         self.left
     }
 
-    /// Takes `length` bytes from it; why not, in a few words.
-    pub(super) fn take(&mut self, length: u64) -> Result<(), String> {
-        self.left = self.left.checked_sub(length).ok_or_else(|| {
-            format!("it decompresses to more than {LARGEST_RATIO} times its size, which no real recording does")
-        })?;
+    /// Takes `length` bytes from it.
+    pub(super) fn take(&mut self, length: u64) -> Result<(), OverBudget> {
+        self.left = self.left.checked_sub(length).ok_or(OverBudget::Bytes)?;
         Ok(())
     }
 
-    /// Takes one record from it; why not, in a few words.
-    pub(super) fn take_record(&mut self) -> Result<(), String> {
-        let left = self.records.checked_sub(1);
-        self.records =
-            left.ok_or("it decompresses to more records than a file of its size can hold")?;
+    /// Takes one record from it.
+    pub(super) fn take_record(&mut self) -> Result<(), OverBudget> {
+        self.records = self.records.checked_sub(1).ok_or(OverBudget::Records)?;
         Ok(())
     }
 }

@@ -179,16 +179,24 @@ impl Ros2Source {
     }
 }
 
+/// A driver that was set to another size.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("its {} images changed from {before} to {size}", sensor.name())]
+struct SizeChange {
+    sensor: SensorKind,
+    before: ImageSize,
+    size: ImageSize,
+}
+
 impl SensorSizes {
     /// A driver that was set to another size is another camera to who calibrates it. A sensor may
     /// be missing from a frame set; a frame that could not be read has no size.
-    fn check(&mut self, frames: &[Frame]) -> Result<(), String> {
+    fn check(&mut self, frames: &[Frame]) -> Result<(), SizeChange> {
         let readable = |frame: &&Frame| frame.size.width > 0 && frame.size.height > 0;
         for Frame { sensor, size, .. } in frames.iter().filter(readable) {
             match self.0.insert(*sensor, *size) {
                 Some(before) if before != *size => {
-                    let sensor = sensor.name();
-                    return Err(format!("its {sensor} images changed from {before} to {size}"));
+                    return Err(SizeChange { sensor: *sensor, before, size: *size });
                 }
                 _ => {}
             }
@@ -220,7 +228,7 @@ impl FrameSource for Ros2Source {
         let deadline = Instant::now() + timeout;
         loop {
             if let Some(mut set) = self.messages.next_frame_set() {
-                self.sizes.check(&set.frames).map_err(|reason| self.lost(reason))?;
+                self.sizes.check(&set.frames).map_err(|change| self.lost(change.to_string()))?;
                 self.has_given = true;
                 set.sequence = self.next_sequence.fetch_add(1, Ordering::Relaxed);
                 return Ok(set);
@@ -276,7 +284,7 @@ mod tests {
         assert_eq!(sizes.check(&[color(), frame(SensorKind::Depth, 0, 0)]), Ok(()), "unreadable");
         assert_eq!(sizes.check(&[color(), depth()]), Ok(()));
         let changed = sizes.check(&[color(), frame(SensorKind::Depth, 8, 6)]);
-        assert_eq!(changed, Err("its depth images were 4x3 and are 8x6 now".to_owned()));
+        assert_eq!(changed.unwrap_err().to_string(), "its depth images changed from 4x3 to 8x6");
     }
 
     #[test]

@@ -55,15 +55,26 @@ pub(super) fn in_words(mode: CameraFormat, request: &ModeRequest) -> String {
     words
 }
 
+/// Why a camera has no mode to set.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub(super) enum NoFormat {
+    /// It does not have the format that was asked for.
+    #[error("no format {wanted}; through nokhwa it offers {}", offered.join(", "))]
+    NotOffered { wanted: String, offered: Vec<String> },
+    /// It has none that is read.
+    #[error("through nokhwa it offers no format that Plumb reads{NATIVE}")]
+    NoneRead,
+}
+
 /// The mode to set: of the format asked for, else of any; the nearest size; fast enough, as near to
 /// the rate as can be; cheap to decode.
 ///
 /// # Errors
-/// In words, where the camera does not have the format, or none that is read.
+/// [`NoFormat`].
 pub(super) fn choose(
     offered: &[CameraFormat],
     request: &ModeRequest,
-) -> Result<CameraFormat, String> {
+) -> Result<CameraFormat, NoFormat> {
     let wanted = request.format.as_deref().map(str::trim);
     let names: Vec<&str> = FORMATS
         .iter()
@@ -93,10 +104,11 @@ pub(super) fn choose(
         order.then(a_place.cmp(&b_place)).then(a_off.total_cmp(&b_off))
     });
     nearest.copied().ok_or_else(|| match (wanted, names.is_empty()) {
-        (Some(wanted), false) => {
-            format!("no format {wanted}; through nokhwa it offers {}", names.join(", "))
-        }
-        _ => format!("through nokhwa it offers no format that Plumb reads{NATIVE}"),
+        (Some(wanted), false) => NoFormat::NotOffered {
+            wanted: wanted.to_owned(),
+            offered: names.iter().map(|name| (*name).to_owned()).collect(),
+        },
+        _ => NoFormat::NoneRead,
     })
 }
 
@@ -165,7 +177,7 @@ mod tests {
     #[test]
     fn what_it_does_not_have_is_refused() {
         let refused = choose(&webcam(), &asked(None, Some("GREY"), None)).unwrap_err();
-        assert_eq!(refused, "no format GREY; through nokhwa it offers YUYV, MJPG");
-        assert!(choose(&[], &ModeRequest::default()).unwrap_err().contains("no format"));
+        assert_eq!(refused.to_string(), "no format GREY; through nokhwa it offers YUYV, MJPG");
+        assert_eq!(choose(&[], &ModeRequest::default()), Err(NoFormat::NoneRead));
     }
 }

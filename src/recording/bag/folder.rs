@@ -182,7 +182,7 @@ fn unpack(path: &Path, length: u64) -> Result<NamedTempFile, RecordingError> {
     // One byte more than may be, so that too much is noticed.
     let copied = io::copy(&mut reader.take(budget.left().saturating_add(1)), &mut unpacked)
         .map_err(|error| damaged(format!("it does not unpack: {error}")))?;
-    budget.take(copied).map_err(damaged)?;
+    budget.take(copied).map_err(|error| damaged(error.to_string()))?;
     Ok(unpacked)
 }
 
@@ -239,7 +239,7 @@ fn unpacked_message(packed: Vec<u8>, budget: &mut UnpackBudget) -> Result<Vec<u8
     let most = budget.left().min(LONGEST_RECORD);
     let mut bytes = Vec::new();
     reader.take(most.saturating_add(1)).read_to_end(&mut bytes).map_err(damaged)?;
-    budget.take(bytes.len() as u64).map_err(Broken::Damaged)?;
+    budget.take(bytes.len() as u64)?;
     if bytes.len() as u64 > LONGEST_RECORD {
         return Err(Broken::Damaged("a message is longer than any image".into()));
     }

@@ -125,7 +125,7 @@ impl Ros1Storage {
             return Ok(None);
         }
         if self.chunk.as_ref().is_some_and(|chunk| chunk.unpacked.is_some()) {
-            self.budget.take_record().map_err(Broken::Damaged)?;
+            self.budget.take_record()?;
         }
         let length = self.length(LONGEST_HEADER)?;
         let header = RecordHeader::read(&self.read(length)?)?;
@@ -156,7 +156,7 @@ impl Ros1Storage {
             })?;
         let packed = self.read(length)?;
         let size = u64::from(header.size);
-        self.budget.take(size).map_err(Broken::Damaged)?;
+        self.budget.take(size)?;
         let unpacked = compression.reader(Cursor::new(packed)).map_err(Broken::Io)?;
         self.chunk = Some(BagChunk { left: size, unpacked: Some(unpacked) });
         Ok(())
