@@ -87,15 +87,15 @@ mod tests {
         for (now, said) in [
             (
                 provenance("v4l2 /dev/video0", Some("C920, serial B"), 640),
-                "the device is C920, serial B now, it is of C920, serial A: ",
+                "the device is now C920, serial B, but it was made with C920, serial A: ",
             ),
             (
                 provenance("v4l2 /dev/video0", Some("C920, serial A"), 800),
-                "color images are 800x480 now, it is for 640x480: ",
+                "color images are now 800x480, but it is for 640x480: ",
             ),
             (
                 provenance("v4l2 /dev/video2", None, 640),
-                "the source is v4l2 /dev/video2 now, it is of v4l2 /dev/video0: ",
+                "the source is now v4l2 /dev/video2, but it was made with v4l2 /dev/video0: ",
             ),
         ] {
             let reason = was.change(&now, "it").unwrap();

@@ -264,7 +264,8 @@ async fn a_rig_s_calibration_of_another_camera_is_said_to_be() {
         _ => None,
     })
     .await;
-    let said = "the device is serial B now, the calibration of rig `head` is of serial A: ";
+    let said =
+        "the device is now serial B, but the calibration of rig `head` was made with serial A: ";
     assert!(drift.reason.starts_with(said), "{}", drift.reason);
     assert_eq!(fleet.rig("head").unwrap().reason, Some(drift.reason));
     feeds[0].send(ScriptStep::Fail(lost("unplugged"))).unwrap();

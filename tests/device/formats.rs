@@ -75,7 +75,10 @@ pub fn what_cannot_be_had_is_reported() -> String {
         camera(options(VIVID, Some(format))).open().map(|_| ()).unwrap_err().to_string()
     };
     let message = refused("MJPG");
-    assert!(message.contains("no format MJPG; it offers GREY, NV12, YUYV"), "{message}");
+    assert!(
+        message.contains("no format MJPG; supported by the device and Plumb: GREY, NV12, YUYV"),
+        "{message}"
+    );
     let mut odd = options(VIVID, Some("YUYV"));
     odd.mode.size = Some(ImageSize::new(1000, 700));
     let source = camera(odd).open().unwrap();

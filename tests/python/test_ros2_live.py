@@ -157,7 +157,7 @@ WRONG = {
     "another size": (
         ros.Image,
         lambda walk: [ros.image(walk[0], START_NS), ros.image(walk[0][:240], START_NS + 10**9)],
-        "its color images were 640x480 and are 640x240 now",
+        "its color images changed from 640x480 to 640x240",
     ),
 }
 

@@ -116,7 +116,7 @@ fn a_recording_ends_before_the_disk_is_full() {
         .find(|recording| recording["state"] != "recording")
         .unwrap();
     assert_eq!(ended["state"], "finished", "{ended}");
-    assert!(ended["reason"].as_str().unwrap().contains("4 MB are to stay free"), "{ended}");
+    assert!(ended["reason"].as_str().unwrap().contains("4 MB must stay free"), "{ended}");
     assert!(free_kb(&disk.0) >= 3900, "{} kB", free_kb(&disk.0));
     let refused = served.post("/v1/cameras/front/recordings", &json!({}));
     assert_eq!(refused.status, 503, "{}", refused.text());
