@@ -6,6 +6,7 @@ use nalgebra::Matrix3;
 use crate::detection::coded::homography_equations::HomographyEquations;
 use crate::detection::coded::sheet::Sheets;
 use crate::detection::grid::Grid;
+use crate::detection::grid::perspective::LEAST_W;
 use crate::detection::measure::cross::Vec2;
 
 /// Radii around a place within which crossings are gathered for a local homography, in grid lines,
@@ -162,7 +163,7 @@ impl Chart {
     pub(super) fn at_crossing(&self, column: ChartLine, row: ChartLine) -> Option<Vec2> {
         let (ChartLine([u, v, w]), ChartLine([du, dv, dw])) = (column, row);
         let (h, w) = (&self.h, w + dw);
-        (w > 0.05).then(|| {
+        (w > LEAST_W).then(|| {
             let u = (u + du + h[2]) / w * self.scale + self.mean[0];
             let v = (v + dv + h[5]) / w * self.scale + self.mean[1];
             Vec2::new(u as f32, v as f32)

@@ -269,10 +269,10 @@ impl TargetDetector {
                 break;
             }
             let before = self.growth.places;
-            if self.used[first] || !self.start(view, search, (first, floor.least_crossings)) {
+            if self.used[first] || !self.start(view, search, (first, floor.most_crossings)) {
                 continue;
             }
-            let is_floor = self.grid.members.len() > floor.least_crossings;
+            let is_floor = self.grid.members.len() > floor.most_crossings;
             if is_floor {
                 floor_places += self.growth.places - before;
                 let is_read = seen.floors_read < floor.most_read;

@@ -8,8 +8,8 @@ use crate::detection::measure::cross::Vec2;
 use crate::detection::measure::edges::sample;
 use crate::imaging::gray::GrayView;
 
-/// Places along an edge at which it is measured, and how many of them must be inliers: half, since
-/// fewer may be on the edge of something else.
+/// Places along an edge at which it is measured (chosen, not swept), and how many of them must be
+/// inliers: half, since fewer may be on the edge of something else.
 pub(super) const PLACES: usize = 12;
 const LEAST_PLACES: usize = PLACES / 2;
 /// Samples across an edge at each place.
@@ -21,9 +21,10 @@ const OUTER: usize = ACROSS / 4;
 /// 1 px off.
 const MOST_UNEVEN: f32 = 0.15;
 /// The median absolute deviation of a normal distribution, in standard deviations.
-pub(super) const DEVIATIONS: f32 = 0.6745;
-/// An offset with a residual of more than this many standard deviations is an outlier.
-pub(super) const OUTLYING: f32 = 2.5;
+pub(super) const NORMAL_MEDIAN: f32 = 0.6745;
+/// An offset with a residual of more than this many standard deviations is an outlier: of normal
+/// ones, one in 80 (Rousseeuw and Leroy).
+pub(super) const OUTLIER_STDS: f32 = 2.5;
 
 /// The distance of an edge from its prediction, in pixels along the axis that crosses it; and its
 /// variance, if each place has a variance of 1.
@@ -113,7 +114,7 @@ impl EdgePlaces {
         let rest = |it: &EdgePlace| (it.off - start - slope * it.along).abs();
         // With few places the median residual underestimates the scatter (Rousseeuw and Leroy).
         let few = 1.0 + 5.0 / (count - 2) as f32;
-        let most = OUTLYING * few * median(sorted, places.iter().map(rest)) / DEVIATIONS;
+        let most = OUTLIER_STDS * few * median(sorted, places.iter().map(rest)) / NORMAL_MEDIAN;
         places.retain(|it| rest(it) <= most);
         let n = places.len();
         if n < LEAST_PLACES {

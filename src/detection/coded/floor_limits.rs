@@ -8,22 +8,22 @@
 use crate::detection::coded::sheet::Sheets;
 
 /// A lattice with more than this many times the board's crossings is a floor. Chosen.
-const LARGER: usize = 2;
+const FLOOR_BOARDS: usize = 2;
 /// Places that are measured for floors on one level: enough for a few small floors. Chosen.
-const PLACES: usize = 600;
+const PLACES_A_LEVEL: usize = 600;
 /// Places added for each crossing of the board: four floors of twice its crossings. Chosen.
 const PLACES_A_CROSSING: usize = 8;
 /// Floors whose cells are read in one image. It only decides which reason is given for no board.
 /// Chosen.
 const MOST_READ: usize = 6;
-/// Crossings up to which a floor that is read is grown, or `LARGER` times the board's if that is
-/// more: reasons state the size of chessboards of up to 20x20 corners. Chosen.
+/// Crossings up to which a floor that is read is grown, or `FLOOR_BOARDS` times the board's if that
+/// is more: reasons state the size of chessboards of up to 20x20 corners. Chosen.
 const MOST_NAMED: usize = 400;
 
 /// Limits of the work on floors.
 pub(super) struct FloorLimits {
     /// A lattice with more crossings is a floor.
-    pub least_crossings: usize,
+    pub most_crossings: usize,
     /// Places that are measured for floors on one level.
     pub most_places: usize,
     /// Floors whose cells are read in one image.
@@ -37,10 +37,10 @@ impl FloorLimits {
     pub(super) fn in_search_of(sheets: &Sheets) -> Self {
         let crossings = sheets.crossings();
         Self {
-            least_crossings: LARGER * crossings,
-            most_places: PLACES + PLACES_A_CROSSING * crossings,
+            most_crossings: FLOOR_BOARDS * crossings,
+            most_places: PLACES_A_LEVEL + PLACES_A_CROSSING * crossings,
             most_read: MOST_READ,
-            most_named: MOST_NAMED.max(LARGER * crossings),
+            most_named: MOST_NAMED.max(FLOOR_BOARDS * crossings),
         }
     }
 }

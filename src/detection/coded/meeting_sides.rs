@@ -12,7 +12,7 @@
 use crate::detection::board_detection::GridIndex;
 use crate::detection::coded::chart::{Chart, ChartPair};
 use crate::detection::coded::edge_line::{
-    DEVIATIONS, EdgeLine, EdgePlaces, OUTLYING, Offset, PLACES, median,
+    EdgeLine, EdgePlaces, NORMAL_MEDIAN, OUTLIER_STDS, Offset, PLACES, median,
 };
 use crate::detection::coded::labels::BoardLabel;
 use crate::detection::coded::lattice::expect_curved;
@@ -25,14 +25,15 @@ use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
 
 /// How far to either side an edge is sampled, in standard deviations of the blur, plus one pixel:
-/// there it is entirely black or white.
-const BLURS: f32 = 3.0;
+/// there it is entirely black or white, to a thousandth of a Gaussian.
+const SAMPLED_BLURS: f32 = 3.0;
 /// Standard deviation of a hidden corner in addition to the scatter of its sides, in pixels along
 /// an axis: 68 of hard sets have 0.09 in all, and scatter alone states as little as 0.02. What
 /// hides a corner may hide part of its sides too.
 const COVERED_STD_PX: f64 = 0.1;
 /// The most known corners that are measured, and the least number of offsets of their sides.
-const REFERENCES: usize = 12;
+/// Chosen, not swept.
+const MOST_REFERENCES: usize = 12;
 const ENOUGH_OFFSETS: usize = 8;
 
 /// A corner located by its sides.
@@ -161,7 +162,7 @@ impl MeetingSides {
             half: thresholds.lattice.reach * sheets.room,
             half_px: (
                 thresholds.lattice.least_reach_px,
-                (BLURS * blur_px as f32 + 1.0).max(thresholds.lattice.least_reach_px),
+                (SAMPLED_BLURS * blur_px as f32 + 1.0).max(thresholds.lattice.least_reach_px),
             ),
         };
         let narrow = sheets.widths[0].min(sheets.widths[1]);
@@ -242,7 +243,7 @@ impl MeetingSides {
     fn scatter(&mut self, scene: SideScene<'_>) -> Option<SideScatter> {
         self.references.clear();
         let members = &scene.grid.members;
-        let step = members.len().div_ceil(REFERENCES).max(1);
+        let step = members.len().div_ceil(MOST_REFERENCES).max(1);
         for &at in members.iter().step_by(step) {
             let Some(node) = scene.grid.get(at.0, at.1).filter(|node| !node.tight) else {
                 continue;
@@ -266,7 +267,7 @@ impl MeetingSides {
             let Offset { px, variance } = it.pinned(bias_px);
             px.abs() / variance.sqrt()
         };
-        let common_px = median(sorted, references.iter().map(off)) / DEVIATIONS;
+        let common_px = median(sorted, references.iter().map(off)) / NORMAL_MEDIAN;
         let squares: f32 = references.iter().map(|it| off(it).powi(2)).sum();
         let std_px = (squares / references.len() as f32).sqrt();
         Some(SideScatter { bias_px, common_px, std_px })
@@ -311,7 +312,7 @@ fn combined(sides: [Option<MeasuredSide>; 2], scatter: SideScatter) -> Option<Of
 impl SideScatter {
     /// Whether chance explains an offset.
     fn is_none(&self, offset: Offset) -> bool {
-        offset.px.abs() <= OUTLYING * self.common_px * offset.variance.sqrt()
+        offset.px.abs() <= OUTLIER_STDS * self.common_px * offset.variance.sqrt()
     }
 
     /// Whether it may be the side that ends in the known corner.

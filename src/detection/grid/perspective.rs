@@ -11,6 +11,13 @@ type NormalMatrix = SMatrix<f64, 8, 8>;
 /// The eight parameters, row by row, or their right-hand side.
 type HomographyVector = SVector<f64, 8>;
 
+/// Least w of a homography whose w is 1 at the board's middle: what has less is near the horizon of
+/// the board's plane, or behind the camera. Chosen, not swept.
+pub(in crate::detection) const LEAST_W: f64 = 0.05;
+/// Largest squared distance of a corner whose residual corrects a prediction, in squared steps:
+/// four steps. Chosen, not swept.
+const MOST_SQUARED_STEPS: f32 = 16.0;
+
 /// A homography from grid indices to pixels, fitted to all corners of a grid.
 ///
 /// It minimizes the algebraic error of (h₁₁i + h₁₂j + h₁₃)/w = x, (h₂₁i + h₂₂j + h₂₃)/w = y with w
@@ -66,7 +73,7 @@ impl Perspective {
         let (i, j) = (f64::from(i) - self.middle.0, f64::from(j) - self.middle.1);
         let h = &self.h;
         let w = 1.0 + h[6] * i + h[7] * j;
-        (w > 0.05).then(|| {
+        (w > LEAST_W).then(|| {
             let (x, y) = ((h[0] * i + h[1] * j + h[2]) / w, (h[3] * i + h[4] * j + h[5]) / w);
             self.mean + Vec2::new((x * self.scale) as f32, (y * self.scale) as f32)
         })
@@ -89,7 +96,7 @@ impl Perspective {
         let (mut sum, mut weight) = (Vec2::zeros(), 0.0);
         for &(mi, mj) in grid.members.iter().filter(|&&(mi, mj)| is_consistent(mi, mj)) {
             let away = ((mi - i) * (mi - i) + (mj - j) * (mj - j)) as f32;
-            if away > 16.0 || away == 0.0 {
+            if away > MOST_SQUARED_STEPS || away == 0.0 {
                 continue;
             }
             let (Some(seen), Some(put)) = (grid.pixel(mi, mj), self.at(mi as f32, mj as f32))

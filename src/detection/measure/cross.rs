@@ -39,6 +39,15 @@ pub(in crate::detection) struct Cross {
 const LINES: usize = 6;
 const SAMPLES: usize = 6;
 const LANES: usize = 8;
+/// How many samples a window has.
+const SAMPLE_COUNT: f32 = (LINES * SAMPLES) as f32;
+/// Least sum of the squared differences of a window's samples from their mean, in squared gray
+/// levels; a window with less is flat. It is a standard deviation of 0.7 gray levels. Chosen, not
+/// swept.
+const LEAST_SPREAD: f32 = 18.0;
+/// Prior weight, in samples' equations, of the constant that light adds ([`edge_offset`]). Chosen,
+/// not swept.
+const LIGHT_PRIOR: f32 = 0.3;
 /// Relative margin between a window and the image border, for rounding.
 const TOUCHING: f32 = 1e-4;
 
@@ -110,17 +119,17 @@ impl CrossWindow {
         let WindowSums { sums, squares, columns, rows } = pulp::Arch::new().dispatch(lines);
         let (sum, squares) = (sums.iter().sum::<f32>(), squares.iter().sum::<f32>());
         let columns: [f32; 6] = std::array::from_fn(|k| columns[k]);
-        let spread = (squares - sum * sum / 36.0).max(0.0);
-        if spread < 18.0 {
+        let spread = (squares - sum * sum / SAMPLE_COUNT).max(0.0);
+        if spread < LEAST_SPREAD {
             return None;
         }
         let matched = rows[3] + rows[4] + rows[5] - rows[0] - rows[1] - rows[2];
-        let score = matched.abs() / (36.0 * spread).sqrt();
+        let score = matched.abs() / (SAMPLE_COUNT * spread).sqrt();
         if score < least_score {
             return None;
         }
         let center = self.center + self.a * edge_offset(&columns) + self.b * edge_offset(&rows);
-        Some(Cross { center, score, contrast: matched / 18.0 })
+        Some(Cross { center, score, contrast: matched / (SAMPLE_COUNT / 2.0) })
     }
 
     /// Whether the centers of the four quadrants are alternately bright and dark, and by how much:
@@ -275,7 +284,6 @@ impl pulp::NullaryFnOnce for FixedLines<'_> {
 /// Where blur fills the window, k′ is constant too and the two terms are collinear; a prior keeps g
 /// small then.
 fn edge_offset(k: &[f32; 6]) -> f32 {
-    const SMALL: f32 = 0.3;
     let even = [3, 4, 5].map(|n: usize| 0.5 * (k[n] + k[5 - n]));
     let odd = [3, 4, 5].map(|n: usize| 0.5 * (k[n] - k[5 - n]));
     let slope = [(odd[1] + odd[0]) / 0.8, (odd[2] - odd[0]) / 0.8, (odd[2] - odd[1]) / 0.4];
@@ -286,11 +294,11 @@ fn edge_offset(k: &[f32; 6]) -> f32 {
         e1 += e;
         se += s * e;
     }
-    let determinant = (3.0 + SMALL) * s2 - s1 * s1;
+    let determinant = (3.0 + LIGHT_PRIOR) * s2 - s1 * s1;
     if determinant <= 0.0 {
         return 0.0;
     }
-    ((s1 * e1 - (3.0 + SMALL) * se) / determinant).clamp(-1.0, 1.0)
+    ((s1 * e1 - (3.0 + LIGHT_PRIOR) * se) / determinant).clamp(-1.0, 1.0)
 }
 
 /// Bilinear interpolation; (`x`, `y`) must lie in 0 … size − 1.

@@ -51,6 +51,14 @@ impl CornerFit {
 
 /// If the final damping is greater, the covariance is computed again without it: chosen, not swept.
 const HARDLY_DAMPED: f64 = 1e-2;
+/// Marquardt's λ of the first step, as a part of each diagonal element, and its factors after a
+/// step that raised the mean square and after one that did not: chosen, not swept.
+const START_DAMPING: f64 = 1e-4;
+const DAMPING_RISE: f64 = 10.0;
+const DAMPING_FALL: f64 = 0.3;
+/// A step that raises the mean square by more than this factor is taken back; less may be the
+/// robust weights', which change with each linearization. Chosen, not swept.
+const WORSE: f64 = 1.02;
 
 /// Fits from `start`. On return, `columns` hold the linearization before the last step. `None`
 /// where the samples do not determine a corner.
@@ -62,7 +70,7 @@ pub(super) fn fit(
     columns: &mut ModelColumns,
 ) -> Option<CornerFit> {
     let mut model = start;
-    let mut damping = 1e-4;
+    let mut damping = START_DAMPING;
     let mut best = start;
     let (mut first, mut second) = (CornerEquations::default(), CornerEquations::default());
     let (mut equations, mut next) = (&mut first, &mut second);
@@ -71,11 +79,11 @@ pub(super) fn fit(
     for iteration in 1..=most {
         linearized.at(&model, columns, next);
         let is_worse = iteration > 1
-            && next.residuals.mean_square() > 1.02 * equations.residuals.mean_square();
+            && next.residuals.mean_square() > WORSE * equations.residuals.mean_square();
         if is_worse {
-            damping *= 10.0;
+            damping *= DAMPING_RISE;
         } else {
-            damping *= 0.3;
+            damping *= DAMPING_FALL;
             best = model;
             std::mem::swap(&mut equations, &mut next);
         }

@@ -7,20 +7,24 @@
 
 use crate::geometry::median::median_of;
 
-/// Minimum corners for a robust reference.
+/// Minimum corners for a robust reference. Chosen, not swept.
 const FEWEST_CORNERS: usize = 8;
 /// By chance, mean squares exceed the median by up to this many of their standard deviations,
-/// √(2/samples).
-const CHANCE: f64 = 3.0;
-/// Lower bound of a corner's mean square relative to the median: a corner may have no noise at all.
-const LEAST_TIMES: f64 = 0.1;
-/// Coefficients of the excess and of its square in the factor on the standard deviation.
-const PULL: [f64; 2] = [1.2, 0.7];
+/// √(2/samples): three of a normal distribution, one in 740.
+const CHANCE_STDS: f64 = 3.0;
+/// Lower bound of a corner's mean square, in medians: a corner may have no noise at all. Chosen,
+/// not swept.
+const LEAST_MEDIANS: f64 = 0.1;
+/// Coefficients of the excess and of its square, in medians, in the factor on the standard
+/// deviation. Chosen so that corners beside occluders have the errors that are stated, not swept.
+const EXCESS_COEFFICIENTS: [f64; 2] = [1.2, 0.7];
 /// A corner with this many times the median mean square is excluded from the board's fields.
-const REFERENCE: f64 = 2.5;
-/// Rejected: this many times the median mean square, and an inlier ratio below this part of the
-/// median.
-const NO_CORNER: (f64, f64) = (3.0, 0.66);
+/// Chosen, not swept.
+const EXCLUDED_MEDIANS: f64 = 2.5;
+/// Rejected: more than this many times the median mean square, and an inlier ratio below this part
+/// of the median. Chosen, not swept.
+const REJECTED_MEDIANS: f64 = 3.0;
+const REJECTED_INLIER_PART: f64 = 0.66;
 
 /// How well a corner's model fits its samples.
 #[derive(Debug, Clone, Copy)]
@@ -67,7 +71,8 @@ impl CornerMisfit {
 
     /// For each corner whether it fits well enough to contribute to the board's fields.
     pub fn fits(&mut self) -> impl Iterator<Item = bool> + '_ {
-        let most = self.medians().map_or(f64::INFINITY, |medians| REFERENCE * medians.mean_square);
+        let most =
+            self.medians().map_or(f64::INFINITY, |medians| EXCLUDED_MEDIANS * medians.mean_square);
         self.of_corners
             .iter()
             .map(move |quality| quality.is_some_and(|quality| quality.mean_square < most))
@@ -101,15 +106,16 @@ impl CornerMisfit {
         let medians = self.medians();
         self.of_corners.iter().map(move |quality| {
             let (quality, Some(medians)) = ((*quality)?, medians) else { return Some(1.0) };
-            let times = (quality.mean_square / medians.mean_square).max(LEAST_TIMES);
-            let excess = (times - 1.0 - CHANCE * (2.0 / quality.samples).sqrt()).max(0.0);
+            let times = (quality.mean_square / medians.mean_square).max(LEAST_MEDIANS);
+            let excess = (times - 1.0 - CHANCE_STDS * (2.0 / quality.samples).sqrt()).max(0.0);
             // With light of its own a corner may well fit better than the others.
             if quality.local_light && excess == 0.0 {
                 return Some(1.0);
             }
-            let no_corner =
-                times > NO_CORNER.0 && quality.inlier_ratio < NO_CORNER.1 * medians.inlier_ratio;
-            (!no_corner).then_some((1.0 + excess * (PULL[0] + PULL[1] * excess)) / times.sqrt())
+            let no_corner = times > REJECTED_MEDIANS
+                && quality.inlier_ratio < REJECTED_INLIER_PART * medians.inlier_ratio;
+            let [linear, square] = EXCESS_COEFFICIENTS;
+            (!no_corner).then_some((1.0 + excess * (linear + square * excess)) / times.sqrt())
         })
     }
 

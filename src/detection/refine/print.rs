@@ -40,11 +40,11 @@ pub trait BoardPrint {
 }
 
 /// Edges closer than this many standard deviations of the blur disturb a corner: its own edges are
-/// fitted up to 2.7 of them away, and others are visible as far.
-const DISTURBS: f64 = 5.0;
+/// fitted up to 2.7 of them away, and others are visible as far. Chosen, not swept.
+const DISTURBING_BLURS: f64 = 5.0;
 /// Means of the print, −1 … 1, with a smaller difference are equal: a tenth of what eight bits
 /// distinguish.
-const SAME: f32 = 1e-3;
+const EQUAL_MEANS: f32 = 1e-3;
 /// Largest half width of a rendered patch, in samples: twice that of the window of a second fit.
 const MOST_REACH: i64 = 28;
 
@@ -52,7 +52,7 @@ const MOST_REACH: i64 = 28;
 /// blur.
 pub(super) fn disturbs(room: f64, [u, v]: [[f64; 2]; 2], blur_px: f64) -> bool {
     let height = (u[0] * v[1] - u[1] * v[0]).abs() / length(u).max(length(v));
-    room * height < DISTURBS * blur_px
+    room * height < DISTURBING_BLURS * blur_px
 }
 
 /// The print around one corner, in the samples of its window.
@@ -233,7 +233,7 @@ impl PrintPatch {
                 self.read[0].push(full);
                 if layers == Layers::Both {
                     let alone = place.map_or(0.0, |place| print.mean_of_edges(corner, place, half));
-                    disturbed |= (full - alone).abs() > SAME;
+                    disturbed |= (full - alone).abs() > EQUAL_MEANS;
                     self.read[1].push(alone);
                 }
             }

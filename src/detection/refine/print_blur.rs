@@ -13,18 +13,20 @@ const KERNEL_REACH: f64 = 3.0;
 /// How far any blur of a width reaches, in widths: three standard deviations of a round one that is
 /// e^0.7 times as wide; half the path of a motion is at most 2.4 widths, and e^0.7 times that.
 const ANY_REACH: f64 = 7.0;
-/// Directions of motion that are tried, over a half turn.
+/// Directions of motion that are tried, over a half turn. Chosen, not swept.
 const ANGLES: usize = 12;
-/// The fraction of the variance that is from motion: the first one tried, and the others.
-const FIRST_SHARE: f64 = 0.9;
-const SHARES: [f64; 6] = [0.5, 0.7, 0.8, 0.85, 0.94, 0.97];
+/// The fraction of the variance that is from motion: the first one tried, and the others. Chosen,
+/// not swept.
+const FIRST_MOTION_SHARE: f64 = 0.9;
+const MOTION_SHARES: [f64; 6] = [0.5, 0.7, 0.8, 0.85, 0.94, 0.97];
 /// The natural logarithm of the greatest error of a width, twice the 17 % by which widths of edges
 /// were too large on AprilGrids; and the sections after which it is known to 1 %.
-const WIDTHS: f64 = 0.35;
+const MOST_LOG_WIDTH: f64 = 0.35;
 const SECTIONS: usize = 8;
 /// A motion is accepted if its misfit is less than this fraction of that of a round blur.
-const MOVES: f64 = 0.8;
-/// No lens and sensor has less blur, in pixels.
+/// Chosen, not swept.
+const MOST_MOTION_MISFIT: f64 = 0.8;
+/// No lens and sensor has less blur, in pixels. Chosen: a pixel's own width is 0.29.
 const SHARPEST_PX: f64 = 0.35;
 
 /// How an image renders a print, common to a whole board.
@@ -86,15 +88,15 @@ impl PrintBlur {
     /// The width with the least `misfit`, of those that differ from its own by at most 42 %.
     pub fn best_width(self, misfit: &mut dyn FnMut(Self) -> f64) -> Self {
         let at = |log: f64| misfit(self.scaled(log.exp()));
-        self.scaled(golden_section([-WIDTHS, WIDTHS], SECTIONS, at).exp())
+        self.scaled(golden_section([-MOST_LOG_WIDTH, MOST_LOG_WIDTH], SECTIONS, at).exp())
     }
 
     /// The blur with the least `misfit`, of those whose variance across perpendicular edges is that
     /// of `blur_px`.
     pub fn best(blur_px: f64, misfit: &mut dyn FnMut(Self) -> f64) -> Self {
         let round = Self::round(blur_px);
-        let mut best = (MOVES * misfit(round), round);
-        let mut at = (0.0, FIRST_SHARE);
+        let mut best = (MOST_MOTION_MISFIT * misfit(round), round);
+        let mut at = (0.0, FIRST_MOTION_SHARE);
         let mut offer = |angle: f64, share: f64, at: &mut (f64, f64)| {
             let moving = Self::moving(blur_px, angle, share);
             let found = misfit(moving);
@@ -104,9 +106,9 @@ impl PrintBlur {
             }
         };
         let step = std::f64::consts::PI / ANGLES as f64;
-        (0..ANGLES).for_each(|k| offer(step * k as f64, FIRST_SHARE, &mut at));
+        (0..ANGLES).for_each(|k| offer(step * k as f64, FIRST_MOTION_SHARE, &mut at));
         let angle = at.0;
-        SHARES.iter().for_each(|share| offer(angle, *share, &mut at));
+        MOTION_SHARES.iter().for_each(|share| offer(angle, *share, &mut at));
         let (angle, share) = at;
         [-0.5, -0.25, 0.25, 0.5].iter().for_each(|k| offer(angle + k * step, share, &mut at));
         best.1

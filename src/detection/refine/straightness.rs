@@ -22,20 +22,21 @@ const LEAST_PIVOT: f64 = 1e-3;
 /// Least squares are repeated against outliers.
 const ROUNDS: usize = 2;
 /// Mean square of standard normal numbers under the robust weights (1 + z²/6)⁻².
-const TRUSTED: f64 = 0.66;
-/// Selecting the order costs more degrees of freedom than its own terms: about half of the terms of
-/// the higher orders as well.
-const CHOICE: f64 = 0.5;
-/// The variance of the mean square of n standard normal numbers is 2/n; a little more under robust
-/// weights.
-const CHANCE: f64 = 2.5;
-/// Minimum corners of a line.
-const LEAST_LINE: usize = 3;
-/// Minimum degrees of freedom.
+const ROBUST_MEAN_SQUARE: f64 = 0.66;
+/// Selecting the order costs more degrees of freedom than its own terms: about this part of the
+/// terms of the higher orders as well. Chosen, not swept.
+const SELECTION_PART: f64 = 0.5;
+/// The variance of the mean square of n standard normal numbers, times n: it is 2, and a little
+/// more under robust weights.
+const MEAN_SQUARE_VARIANCE: f64 = 2.5;
+/// Minimum corners of a line: one more than its offset and slope.
+const LEAST_LINE_CORNERS: usize = 3;
+/// Minimum degrees of freedom. Chosen, not swept.
 const LEAST_FREE: f64 = 20.0;
-/// Beyond this ratio the scatter is probably no noise but lens distortion that f cannot follow; the
-/// larger the ratio, the more certainly.
-const MOST: f64 = 1.4;
+/// Beyond this ratio of the measured to the predicted scatter, the scatter is probably no noise but
+/// lens distortion that f cannot follow; the larger the ratio, the more certainly. Chosen, not
+/// swept.
+const MOST_NOISE_RATIO: f64 = 1.4;
 
 /// A corner in its line's frame: t and y scaled to about −1 … 1, n in pixels.
 #[derive(Debug, Clone, Copy)]
@@ -120,7 +121,8 @@ impl Straightness {
         if let Some(scatter) = scatter {
             let all = self.points.len() as f64;
             // Offset and slope of each line, and the curvature, use up degrees of freedom.
-            let terms = solution.terms as f64 + CHOICE * (TERMS[order] - solution.terms) as f64;
+            let terms =
+                solution.terms as f64 + SELECTION_PART * (TERMS[order] - solution.terms) as f64;
             let free = (free as f64 - terms).max(1.0);
             // A smooth line absorbs more of the noise that neighbors share: of n numbers whose
             // neighbors are correlated by ρ, a projection onto the p smoothest functions leaves n −
@@ -128,7 +130,7 @@ impl Straightness {
             let correlation = self.shared[axis] / self.windows.max(1.0);
             let smooth =
                 (std::f64::consts::PI * (1.0 - free / all)).sin() * all / std::f64::consts::PI;
-            self.left += scatter * all / TRUSTED * free
+            self.left += scatter * all / ROBUST_MEAN_SQUARE * free
                 / (free - 2.0 * correlation * smooth).max(0.1 * free);
             self.free += free;
         }
@@ -140,9 +142,13 @@ impl Straightness {
             return 1.0;
         }
         let square = self.left / self.free;
-        let square = if square < MOST * MOST { square } else { (MOST.powi(4) / square).max(1.0) };
+        let square = if square < MOST_NOISE_RATIO * MOST_NOISE_RATIO {
+            square
+        } else {
+            (MOST_NOISE_RATIO.powi(4) / square).max(1.0)
+        };
         let excess = square - 1.0;
-        (1.0 + excess.powi(3) / (excess * excess + CHANCE / self.free)).sqrt()
+        (1.0 + excess.powi(3) / (excess * excess + MEAN_SQUARE_VARIANCE / self.free)).sqrt()
     }
 
     fn lines(&self) -> impl Iterator<Item = &[Point]> {
@@ -154,7 +160,7 @@ impl Straightness {
         let (Some(first), Some(last)) = (line.clone().next(), line.clone().last()) else { return };
         let chord = [last.pixel.x - first.pixel.x, last.pixel.y - first.pixel.y];
         let span = length(chord);
-        if line.clone().count() < LEAST_LINE || span < 1.0 {
+        if line.clone().count() < LEAST_LINE_CORNERS || span < 1.0 {
             return;
         }
         let [x, y_along] = chord.map(|v| v / span);

@@ -5,6 +5,24 @@ use crate::detection::refine::corner_model::length;
 /// Variance of a square pixel's own width.
 pub(super) const PIXEL_VARIANCE: f64 = 1.0 / 12.0;
 
+// Chosen while refinement was built, and not swept.
+
+/// Standard deviations of an edge's blur that a window ends short of the next edge.
+const SHORT_STDS: f64 = 2.3;
+/// But a window reaches this part of the way to the next edge at least, and at most.
+const PART_OF_WAY: [f64; 2] = [0.45, 0.85];
+/// From these standard deviations of an edge on, in pixels, four and two pixels a side make one
+/// sample: an edge's standard deviation is then 0.75 samples at least.
+const FOUR_PIXELS_STD_PX: f64 = 3.0;
+const TWO_PIXELS_STD_PX: f64 = 1.5;
+/// A window ends at its largest reach, or at this many standard deviations of an edge if that is
+/// farther.
+const REACH_STDS: f64 = 3.0;
+/// Half the width of the strip along an edge that determines it, in its standard deviations, and in
+/// pixels in addition.
+const STRIP_STDS: f64 = 2.7;
+const STRIP_PX: f64 = 0.3;
+
 /// Where to gather samples.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Window {
@@ -30,15 +48,16 @@ impl Window {
         let lengths = axes.map(length);
         // The distance from the corner to the next edge that runs along the other axis.
         let room = [area / lengths[1], area / lengths[0]];
+        let [least, most] = PART_OF_WAY;
         let fraction =
-            room.map(|room| free * (1.0 - 2.3 * sigma / (free * room)).clamp(0.45, 0.85));
+            room.map(|room| free * (1.0 - SHORT_STDS * sigma / (free * room)).clamp(least, most));
         let wanted = f64::max(fraction[0] * lengths[0], fraction[1] * lengths[1]);
         let bin = match sigma {
-            s if s > 3.0 && wanted > 2.0 * reach => 4,
-            s if s > 1.5 && wanted > reach => 2,
+            s if s > FOUR_PIXELS_STD_PX && wanted > 2.0 * reach => 4,
+            s if s > TWO_PIXELS_STD_PX && wanted > reach => 2,
             _ => 1,
         };
-        let most = lengths.map(|cell| f64::max(reach * bin as f64, 3.0 * sigma) / cell);
+        let most = lengths.map(|cell| f64::max(reach * bin as f64, REACH_STDS * sigma) / cell);
         let extent = [fraction[0].min(most[0]), fraction[1].min(most[1])];
         Self { origin, axes, extent, strip_px: f64::INFINITY, bin }
     }
@@ -52,7 +71,7 @@ impl Window {
     /// edges: these determine black and white, which are known well enough, but not the edges.
     pub fn along_edges(self, along: [[f64; 2]; 2], blur_px: f64) -> Self {
         let axes = [0, 1].map(|k| along[k].map(|v| v * length(self.axes[k])));
-        Self { axes, strip_px: 2.7 * sigma_px(blur_px) + 0.3, ..self }
+        Self { axes, strip_px: STRIP_STDS * sigma_px(blur_px) + STRIP_PX, ..self }
     }
 }
 

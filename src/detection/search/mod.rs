@@ -40,6 +40,9 @@ const ROW_STEP: usize = 2;
 /// Least side of a square in the image, in pixels: boards with smaller squares are not searched
 /// for.
 const LEAST_SQUARE_PX: usize = 4;
+/// A part of the board with more than one corner in this many of the board's ends the search: finer
+/// levels are not searched for a larger part. Chosen, not swept.
+const ENOUGH_ONE_IN: usize = 3;
 
 /// Buffers of the search, reused from image to image.
 #[derive(Debug, Default)]
@@ -97,7 +100,8 @@ pub(in crate::detection) fn find<'b>(
         if let Some(placement) = levels.search(&scene, level, reach_px, &mut evidence) {
             return Ok(FoundGrid { grid: &mut levels.part, placement, whole: true });
         }
-        let enough = levels.best.is_some_and(|(count, _)| 3 * count > board.corner_count());
+        let enough =
+            levels.best.is_some_and(|(count, _)| ENOUGH_ONE_IN * count > board.corner_count());
         if evidence.too_large || enough {
             break;
         }

@@ -11,10 +11,11 @@ use crate::geometry::dictionary::Dictionary;
 use crate::geometry::target::Target;
 use crate::imaging::gray::GrayView;
 
-/// Corners of a cell from which on it is read.
-const LEAST_KNOWN: usize = 2;
-/// Least difference of black and white in a payload, in parts of the crossings' contrast.
-const LEAST_DEPTH: f32 = 0.3;
+/// Known corners of a cell from which on it is read. Chosen, not swept.
+const LEAST_CORNERS: usize = 2;
+/// Least difference of black and white in a payload, in parts of the crossings' contrast. Chosen,
+/// not swept.
+const LEAST_CONTRAST: f32 = 0.3;
 /// Markers below which nothing is recognized: three that have their places by chance are one in 10⁴
 /// lattices even of 16 bits.
 pub(super) const LEAST_MARKERS: usize = 3;
@@ -24,8 +25,8 @@ pub(super) const LEAST_MARKERS: usize = 3;
 const MOST_CELLS: usize = 200;
 
 /// The least share of the markers that are the board's: a few cells without a marker have the
-/// pattern of one by chance.
-const LEAST_OWN: f32 = 0.85;
+/// pattern of one by chance. Chosen, not swept.
+const LEAST_OWN_SHARE: f32 = 0.85;
 
 /// Where in its cell a marker's payload may start, in parts of the cell's side, with how many cells
 /// along its side.
@@ -59,7 +60,7 @@ impl SeenMarkers {
             Target::AprilGrid(grid) => (grid.first_id, grid.cols * grid.rows),
         };
         let own = self.cells.iter().filter(|cell| (first..first + count).contains(&cell.marker));
-        own.count() as f32 >= LEAST_OWN * self.cells.len() as f32
+        own.count() as f32 >= LEAST_OWN_SHARE * self.cells.len() as f32
     }
 }
 
@@ -142,7 +143,7 @@ fn cells(sheets: &Sheets, grid: &Grid, in_bright: bool) -> Vec<LatticeCell> {
             let count = known().count();
             let contrast =
                 known().map(|node| node.contrast.abs()).sum::<f32>() / count.max(1) as f32;
-            let chart = (count >= LEAST_KNOWN)
+            let chart = (count >= LEAST_CORNERS)
                 .then(|| Chart::near(grid, sheets, (i, j), None, &mut pairs))??;
             Some(LatticeCell { at: (i, j), chart, contrast })
         })
@@ -170,7 +171,7 @@ fn pattern(
     let values = &values[..n * n];
     let least = values.iter().copied().fold(f32::MAX, f32::min);
     let most = values.iter().copied().fold(f32::MIN, f32::max);
-    (most - least > LEAST_DEPTH * cell.contrast).then(|| {
+    (most - least > LEAST_CONTRAST * cell.contrast).then(|| {
         let middle = 0.5 * (least + most);
         values.iter().fold(0, |pattern, &value| pattern << 1 | u64::from(value > middle))
     })

@@ -13,8 +13,8 @@ use crate::geometry::target::Target;
 use crate::imaging::gray::GrayView;
 
 /// Corners nearest to an outer cell that say where it ends: twice the four that a homography
-/// takes, and some that may lie on one line.
-const NEAR_END: usize = 12;
+/// takes, and some that may lie on one line. Chosen, not swept.
+const END_CORNERS: usize = 12;
 /// Where print and paper are sampled at most, in sides of a cell from the end: as near as blur of a
 /// tenth of a cell allows, as the edge of an occluder, which lies anywhere, is another. Swept with
 /// 400 rendered boards from 0.1 to 0.2: the same wrong sizes, five needless hints fewer to two
@@ -120,7 +120,7 @@ impl<'a> SeenSheet<'a> {
         };
         let mut pairs = self.pairs.clone();
         pairs.sort_by(|a, b| away(a).total_cmp(&away(b)));
-        pairs.truncate(NEAR_END);
+        pairs.truncate(END_CORNERS);
         Chart::fit(&pairs)
     }
 
