@@ -46,6 +46,7 @@ mod snapshots;
 mod solve_requests;
 mod stated_lenses;
 mod store_upkeep;
+mod thresholds_document;
 #[cfg(unix)]
 mod tls;
 #[cfg(unix)]
