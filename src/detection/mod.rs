@@ -21,6 +21,7 @@ mod stage_drawings;
 pub mod target_in_view;
 pub mod thresholds;
 pub mod tracking;
+mod vec2;
 mod verify;
 
 pub use crate::detection::depth::{board_plane, plane_growth};

@@ -3,7 +3,7 @@
 use crate::detection::board_detection::NoBoard;
 use crate::detection::grid::Grid;
 use crate::detection::measure::Probe;
-use crate::detection::measure::cross::Vec2;
+use crate::detection::vec2::Vec2;
 use crate::geometry::board::BoardSize;
 use crate::imaging::gray::GrayView;
 

@@ -61,7 +61,7 @@ fn each_stage_leaves_what_the_next_one_needs() {
     let size = [level.width(), level.height()];
     let scale = f64::from(WIDTH) / size[0] as f64;
     let plain = canvas(size, scale, |x, y| level.row(y)[x]);
-    let place = |p: crate::detection::measure::cross::Vec2| {
+    let place = |p: crate::detection::vec2::Vec2| {
         Pixel::new((f64::from(p.x) + 0.5) * scale - 0.5, (f64::from(p.y) + 0.5) * scale - 0.5)
     };
     save("1-level.jpg", &plain);

@@ -1,5 +1,6 @@
 //! Inside a layer, too, nothing is imported in a ring: the files of each folder of `src`, as a
-//! graph of imports, have no circle. Read top down, each file is understood from those below it.
+//! graph of imports, have no circle, nor have the folders that lie in one folder. Read top down,
+//! each file is understood from those below it.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -14,8 +15,7 @@ type Module = Vec<String>;
 #[test]
 fn no_file_of_a_layer_imports_itself_by_way_of_others() {
     let files = module_files();
-    let imports: BTreeMap<&Module, BTreeSet<Module>> =
-        files.iter().map(|(module, text)| (module, imported(module, text, &files))).collect();
+    let imports = imports_between(&files);
     let edges: usize = imports.values().map(BTreeSet::len).sum();
     assert!(edges > 3 * files.len(), "only {edges} imports were read: the reading is broken");
 
@@ -30,10 +30,37 @@ fn no_file_of_a_layer_imports_itself_by_way_of_others() {
 }
 
 #[test]
+fn no_folder_imports_itself_by_way_of_its_siblings() {
+    let files = module_files();
+    let folders = sibling_folders(&imports_between(&files));
+    let edges: usize = folders.values().map(BTreeSet::len).sum();
+    assert!(edges > 10, "only {edges} imports between folders were read: the reading is broken");
+    let imports = by_reference(&folders);
+    let faults: Vec<String> =
+        circles(&imports).iter().map(|circle| described(circle, &imports)).collect();
+    assert!(faults.is_empty(), "{} circles:\n{}", faults.len(), faults.join("\n"));
+}
+
+#[test]
+fn folders_that_import_each_other_by_different_files_are_a_circle() {
+    let texts = [
+        ("a::b::first", "use crate::a::c::second::Second;"),
+        ("a::b::third", ""),
+        ("a::c::second", ""),
+        ("a::c::fourth", "use crate::a::b::third::Third;"),
+    ];
+    let files: BTreeMap<Module, String> =
+        texts.iter().map(|(name, text)| (path(name), (*text).to_owned())).collect();
+    let imports = imports_between(&files);
+    assert!(circles(&imports).is_empty());
+    let folders = sibling_folders(&imports);
+    assert_eq!(circles(&by_reference(&folders)), [["a::b", "a::c"].map(path).to_vec()]);
+}
+
+#[test]
 fn a_folder_without_circles_leaves_the_list() {
     let files = module_files();
-    let imports: BTreeMap<&Module, BTreeSet<Module>> =
-        files.iter().map(|(module, text)| (module, imported(module, text, &files))).collect();
+    let imports = imports_between(&files);
     let circles = circles(&imports);
     for folder in CIRCLES_NOT_YET {
         let has_circle = circles.iter().any(|circle| circle[0][0] == *folder);
@@ -60,9 +87,40 @@ fn path(name: &str) -> Module {
     name.split("::").map(str::to_owned).collect()
 }
 
-/// The circle's files, and each import between them.
+/// What each module imports.
+fn imports_between(files: &BTreeMap<Module, String>) -> BTreeMap<&Module, BTreeSet<Module>> {
+    files.iter().map(|(module, text)| (module, imported(module, text, files))).collect()
+}
+
+/// The imports between folders that lie in the same folder, by any of their files.
+fn sibling_folders(
+    imports: &BTreeMap<&Module, BTreeSet<Module>>,
+) -> BTreeMap<Module, BTreeSet<Module>> {
+    let parents =
+        imports.keys().flat_map(|module| (2..module.len()).map(move |n| module[..n].to_vec()));
+    let folders: BTreeSet<Module> = parents.collect();
+    let mut between: BTreeMap<Module, BTreeSet<Module>> = BTreeMap::new();
+    for (from, imported) in imports {
+        for to in imported {
+            let common = from.iter().zip(to).take_while(|(a, b)| a == b).count();
+            let (Some(from), Some(to)) = (from.get(..=common), to.get(..=common)) else { continue };
+            if common > 0 && folders.contains(from) && folders.contains(to) {
+                between.entry(from.to_vec()).or_default().insert(to.to_vec());
+            }
+        }
+    }
+    between
+}
+
+fn by_reference(
+    imports: &BTreeMap<Module, BTreeSet<Module>>,
+) -> BTreeMap<&Module, BTreeSet<Module>> {
+    imports.iter().map(|(module, imported)| (module, imported.clone())).collect()
+}
+
+/// The circle's modules, and each import between them.
 fn described(circle: &[Module], imports: &BTreeMap<&Module, BTreeSet<Module>>) -> String {
-    let mut text = format!("{} files of `{}`:", circle.len(), circle[0][0]);
+    let mut text = format!("{} modules of `{}`:", circle.len(), circle[0][0]);
     for module in circle {
         let inside = imports[module].iter().filter(|to| circle.contains(to));
         let names: Vec<String> = inside.map(|to| to.join("::")).collect();

@@ -7,7 +7,7 @@ use crate::detection::coded::homography_equations::HomographyEquations;
 use crate::detection::coded::sheet::Sheets;
 use crate::detection::grid::Grid;
 use crate::detection::grid::perspective::LEAST_W;
-use crate::detection::measure::cross::Vec2;
+use crate::detection::vec2::Vec2;
 
 /// Radii around a place within which crossings are gathered for a local homography, in grid lines,
 /// tried in this order.

@@ -11,7 +11,7 @@ use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 use crate::detection::coded::chart::{Chart, ChartPair};
 use crate::detection::coded::sheet::Sheets;
 use crate::detection::grid::Grid;
-use crate::detection::measure::cross::Vec2;
+use crate::detection::vec2::Vec2;
 
 /// The number of lines within which crossings are gathered: four standard deviations of their
 /// weight if lines are equally spaced.

@@ -15,7 +15,6 @@ use crate::detection::coded::reading::MarkerReading;
 use crate::detection::coded::sheet::Sheets;
 use crate::detection::grid::{Grid, Node};
 use crate::detection::measure::Probe;
-use crate::detection::measure::cross::Vec2;
 use crate::detection::refine::{GridCorner, RefinedCorner, Refiner};
 use crate::detection::search::between::BetweenLevels;
 use crate::detection::search::candidates::CandidateSearch;
@@ -25,6 +24,7 @@ use crate::detection::search::seeds::Neighborhood;
 use crate::detection::thresholds::Thresholds;
 use crate::detection::thresholds::chessboard::SeedThresholds;
 use crate::detection::thresholds::markers::LatticeThresholds;
+use crate::detection::vec2::Vec2;
 use crate::geometry::target::Target;
 use crate::imaging::gray::GrayView;
 

@@ -4,8 +4,8 @@
 //! Places where something occludes the edge are outliers (P. J. Rousseeuw and A. M. Leroy: Robust
 //! Regression and Outlier Detection, 1987).
 
-use crate::detection::measure::cross::Vec2;
 use crate::detection::measure::edges::sample;
+use crate::detection::vec2::Vec2;
 use crate::imaging::gray::GrayView;
 
 /// Places along an edge at which it is measured (chosen, not swept), and how many of them must be

@@ -10,9 +10,9 @@ use crate::detection::coded::lattice::{CURVED, LatticeScene, expect_curved, off_
 use crate::detection::coded::print::LabeledPrint;
 use crate::detection::grid::Node;
 use crate::detection::grid::in_steps;
-use crate::detection::measure::cross::Vec2;
 use crate::detection::refine::GridCorner;
 use crate::detection::thresholds::Thresholds;
+use crate::detection::vec2::Vec2;
 use crate::geometry::median::{median, median_of};
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;

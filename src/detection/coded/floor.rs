@@ -9,8 +9,8 @@ use crate::detection::coded::chart::{Chart, ChartPair};
 use crate::detection::coded::detector::TargetDetector;
 use crate::detection::coded::lattice::LatticeScene;
 use crate::detection::grid::in_steps;
-use crate::detection::measure::cross::Vec2;
 use crate::detection::search::candidates::edges_along;
+use crate::detection::vec2::Vec2;
 use crate::imaging::gray::GrayView;
 
 /// How far around a lattice candidates count as its continuation, relative to its own extent:

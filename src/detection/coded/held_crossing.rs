@@ -1,6 +1,6 @@
 //! A crossing compared with its prediction by the others of its lattice.
 
-use crate::detection::measure::cross::Vec2;
+use crate::detection::vec2::Vec2;
 
 /// A crossing, and its distance from where the others predict it.
 #[derive(Debug, Clone, Copy)]

@@ -2,8 +2,8 @@
 
 use crate::detection::coded::labels::BoardLabel;
 use crate::detection::coded::offset_search::{OffsetSearch, ReferenceCorner};
-use crate::detection::measure::cross::Vec2;
 use crate::detection::tracking::last_corners::LastCorners;
+use crate::detection::vec2::Vec2;
 
 /// The board of the last image.
 #[derive(Debug, Default)]

@@ -5,10 +5,11 @@ use std::collections::VecDeque;
 use crate::detection::coded::chart::{Chart, ChartPair, FARTHEST};
 use crate::detection::coded::sheet::Sheets;
 use crate::detection::grid::{Grid, LARGEST_RADIUS, Node, in_steps};
-use crate::detection::measure::cross::{CrossWindow, Vec2};
+use crate::detection::measure::cross::CrossWindow;
 use crate::detection::search::candidates::{Candidate, edges_along};
 use crate::detection::search::seeds::{Neighborhood, Seed};
 use crate::detection::thresholds::markers::LatticeThresholds;
+use crate::detection::vec2::Vec2;
 use crate::imaging::gray::GrayView;
 
 /// Crossings of a line that say how it is curved.

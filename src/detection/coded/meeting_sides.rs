@@ -18,9 +18,9 @@ use crate::detection::coded::labels::BoardLabel;
 use crate::detection::coded::lattice::expect_curved;
 use crate::detection::coded::sheet::Sheets;
 use crate::detection::grid::{Grid, in_steps};
-use crate::detection::measure::cross::Vec2;
 use crate::detection::measure::edges::sample;
 use crate::detection::thresholds::Thresholds;
+use crate::detection::vec2::Vec2;
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
 

@@ -7,11 +7,11 @@
 use nalgebra::{Matrix2, Matrix3, Vector3};
 
 use crate::detection::measure::Probe;
-use crate::detection::measure::cross::Vec2;
 use crate::detection::search::candidates::{Candidate, CandidateSearch, edges_along};
 use crate::detection::search::pyramid::Pyramid;
 use crate::detection::search::response::{REACH, Response};
 use crate::detection::thresholds::markers::MarkerTrackingThresholds;
+use crate::detection::vec2::Vec2;
 use crate::imaging::gray::GrayView;
 
 /// Half the side of the window in which a candidate is measured: there are no candidates closer to

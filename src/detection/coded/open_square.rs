@@ -4,9 +4,9 @@
 use crate::detection::coded::detector::TargetDetector;
 use crate::detection::coded::lattice::{LatticeScene, settle};
 use crate::detection::grid::{Node, in_steps};
-use crate::detection::measure::cross::Vec2;
 use crate::detection::search::candidates::Candidate;
 use crate::detection::search::seeds::Seed;
+use crate::detection::vec2::Vec2;
 use crate::imaging::gray::GrayView;
 
 impl TargetDetector {

@@ -5,9 +5,9 @@
 //! payload cell, while a crossing of the board has the same black (on an inverted board white) on
 //! both sides as far as a square or a marker's border extends.
 
-use crate::detection::measure::cross::Vec2;
 use crate::detection::measure::edges::sample;
 use crate::detection::search::candidates::Candidate;
+use crate::detection::vec2::Vec2;
 use crate::imaging::gray::GrayView;
 
 /// Distances from a crossing at which its squares are sampled, along their diagonals in pixels: the

@@ -8,8 +8,8 @@ use crate::detection::coded::labels::{BoardLabel, cell_in_grid, cell_in_sheet};
 use crate::detection::coded::print_integral::PrintIntegral;
 use crate::detection::coded::sheet::{Sheet, Sheets};
 use crate::detection::grid::{Grid, Node};
-use crate::detection::measure::cross::Vec2;
 use crate::detection::refine::print::BoardPrint;
+use crate::detection::vec2::Vec2;
 use crate::geometry::pixel::Pixel;
 
 /// A narrower interval, as a fraction of the interval between lines, is empty.

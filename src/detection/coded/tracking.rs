@@ -15,11 +15,12 @@ use crate::detection::coded::no_target::NoTarget;
 use crate::detection::coded::offset_search::{PredictionOffset, ReferenceCorner};
 use crate::detection::grid::{LARGEST_RADIUS, Node};
 use crate::detection::measure::Probe;
-use crate::detection::measure::cross::{CrossWindow, Vec2};
+use crate::detection::measure::cross::CrossWindow;
 use crate::detection::refine::GridCorner;
 use crate::detection::thresholds::Thresholds;
 use crate::detection::tracking::last_corners::LastCorners;
 use crate::detection::tracking::sampled::{keep_spread, measured_std_px};
+use crate::detection::vec2::Vec2;
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
 

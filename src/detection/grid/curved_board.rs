@@ -8,7 +8,7 @@
 use nalgebra::{SMatrix, SVector};
 
 use crate::detection::grid::Grid;
-use crate::detection::measure::cross::Vec2;
+use crate::detection::vec2::Vec2;
 
 /// Corners up to this many lines away are used, on each side.
 const REACH: i32 = 2;

@@ -7,7 +7,7 @@ pub(in crate::detection) mod curved_board;
 pub(in crate::detection) mod extent;
 pub(in crate::detection) mod perspective;
 
-use crate::detection::measure::cross::Vec2;
+use crate::detection::vec2::Vec2;
 
 /// The greatest distance of a grid's corners from its first one, in indices.
 pub(in crate::detection) const LARGEST_RADIUS: i32 = 104;

@@ -4,7 +4,7 @@
 use nalgebra::{SMatrix, SVector};
 
 use crate::detection::grid::{Grid, in_steps};
-use crate::detection::measure::cross::Vec2;
+use crate::detection::vec2::Vec2;
 
 /// Normal equations of the eight parameters of a homography with h₃₃ = 1.
 type NormalMatrix = SMatrix<f64, 8, 8>;

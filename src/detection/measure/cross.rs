@@ -5,12 +5,8 @@
 //! square in it. Six by six samples are compared with the pattern sign(a·b); the corner is where
 //! the samples change sign along each side.
 
-use nalgebra::Vector2;
-
+use crate::detection::vec2::Vec2;
 use crate::imaging::gray::GrayView;
-
-/// A position or a vector in an image, in pixels.
-pub(in crate::detection) type Vec2 = Vector2<f32>;
 
 /// A parallelogram around `center`, with half sides `a` and `b`.
 #[derive(Debug, Clone, Copy)]

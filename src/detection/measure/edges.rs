@@ -5,7 +5,8 @@
 
 use crate::detection::grid::Grid;
 use crate::detection::measure::Probe;
-use crate::detection::measure::cross::{Vec2, bilinear};
+use crate::detection::measure::cross::bilinear;
+use crate::detection::vec2::Vec2;
 use crate::imaging::gray::GrayView;
 
 /// Where an edge is sampled between its two corners: in the middle, and as far from each end as the

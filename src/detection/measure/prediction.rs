@@ -8,8 +8,9 @@ use crate::detection::grid::curved_board::predict_on_curve;
 use crate::detection::grid::perspective::Perspective;
 use crate::detection::grid::{Grid, Node, in_steps};
 use crate::detection::measure::Probe;
-use crate::detection::measure::cross::{CrossWindow, Vec2};
+use crate::detection::measure::cross::CrossWindow;
 use crate::detection::thresholds::chessboard::{MeasureThresholds, WindowThresholds};
+use crate::detection::vec2::Vec2;
 
 /// Prediction of a corner: position and appearance.
 #[derive(Debug, Clone, Copy)]

@@ -5,9 +5,10 @@
 //! [`CandidateThresholds::most`] candidates pass: the time is bounded by the number of pixels.
 
 use crate::detection::measure::Probe;
-use crate::detection::measure::cross::{CrossWindow, Vec2};
+use crate::detection::measure::cross::CrossWindow;
 use crate::detection::search::response::{HALF_RING, REACH, Response};
 use crate::detection::thresholds::chessboard::CandidateThresholds;
+use crate::detection::vec2::Vec2;
 use crate::imaging::gray::GrayView;
 
 /// Side of the tiles whose largest response is examined, in pixels.

@@ -5,13 +5,13 @@ use crate::detection::grid::extent::{
 };
 use crate::detection::grid::{Bounds, Grid};
 use crate::detection::measure::Probe;
-use crate::detection::measure::cross::Vec2;
 use crate::detection::reasons::SearchEvidence;
 use crate::detection::search::candidates::CandidateSearch;
 use crate::detection::search::growth::Growth;
 use crate::detection::search::pyramid::Pyramid;
 use crate::detection::search::response::Response;
 use crate::detection::search::seeds::{Neighborhood, Seed};
+use crate::detection::vec2::Vec2;
 use crate::detection::verify::consistency::verify;
 use crate::detection::verify::ends::{SeenEnds, seen_ends};
 use crate::detection::verify::placement::{BoardPlacement, place};

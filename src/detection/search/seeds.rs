@@ -3,9 +3,9 @@
 //! From a candidate its two edges lead to its neighbors, which have the opposite polarity; if both
 //! paths to the fourth corner end at the same candidate, the four are very likely one square.
 
-use crate::detection::measure::cross::Vec2;
 use crate::detection::search::candidates::Candidate;
 use crate::detection::thresholds::chessboard::SeedThresholds;
+use crate::detection::vec2::Vec2;
 
 /// Side of a bin, in pixels.
 const BIN: f32 = 16.0;

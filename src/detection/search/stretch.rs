@@ -3,11 +3,11 @@
 
 use crate::detection::grid::{Grid, Node, in_steps};
 use crate::detection::measure::Probe;
-use crate::detection::measure::cross::Vec2;
 use crate::detection::measure::edges::is_edge;
 use crate::detection::measure::prediction::Prediction;
 use crate::detection::search::candidates::{Candidate, edges_along};
 use crate::detection::search::seeds::Neighborhood;
+use crate::detection::vec2::Vec2;
 
 /// A free position next to a corner where nothing was found, to be searched for farther away.
 #[derive(Debug, Clone, Copy)]

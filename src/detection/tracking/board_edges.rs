@@ -3,8 +3,8 @@
 
 use crate::detection::grid::{Grid, Node};
 use crate::detection::measure::Probe;
-use crate::detection::measure::cross::Vec2;
 use crate::detection::measure::edges::{differences, sample};
+use crate::detection::vec2::Vec2;
 use crate::geometry::board::BoardSize;
 use crate::imaging::gray::GrayView;
 

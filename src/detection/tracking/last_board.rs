@@ -6,9 +6,10 @@
 
 use crate::detection::grid::{Grid, Node};
 use crate::detection::measure::Probe;
-use crate::detection::measure::cross::{CrossWindow, Vec2};
+use crate::detection::measure::cross::CrossWindow;
 use crate::detection::measure::prediction::Prediction;
 use crate::detection::tracking::last_corners::LastCorners;
+use crate::detection::vec2::Vec2;
 use crate::detection::verify::placement::BoardPlacement;
 use crate::geometry::board::BoardSize;
 

@@ -1,7 +1,7 @@
 //! The positions of a board's corners in the last image, and their motion since the image before.
 
 use crate::detection::grid::Node;
-use crate::detection::measure::cross::Vec2;
+use crate::detection::vec2::Vec2;
 
 /// The corners of the last two images, in the board's order; `None` for those that were not seen.
 #[derive(Debug, Default)]

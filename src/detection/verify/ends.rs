@@ -6,9 +6,9 @@
 
 use crate::detection::grid::{Bounds, Grid};
 use crate::detection::measure::Probe;
-use crate::detection::measure::cross::Vec2;
 use crate::detection::measure::edges::sample;
 use crate::detection::thresholds::chessboard::EndThresholds;
+use crate::detection::vec2::Vec2;
 use crate::detection::verify::placement::Ends;
 
 /// The ends of the board that a grid shows.

@@ -5,7 +5,7 @@
 //! squares, the visible ends and the number of corners determine it, or show that it is ambiguous.
 
 use crate::detection::grid::{Bounds, Grid};
-use crate::detection::measure::cross::Vec2;
+use crate::detection::vec2::Vec2;
 use crate::geometry::board::BoardSize;
 
 /// Which sides of a grid are the ends of the board, in the order least i, most i, least j, most j.
