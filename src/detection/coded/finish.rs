@@ -6,7 +6,7 @@ use crate::detection::coded::answer::{LabeledCorner, TargetDetection};
 use crate::detection::coded::detector::TargetDetector;
 use crate::detection::coded::held_crossing::HeldCrossing;
 use crate::detection::coded::labels::BoardLabel;
-use crate::detection::coded::lattice::{CURVED, LatticeScene, expect_curved, off_lines, settle};
+use crate::detection::coded::lattice::{CURVED, LatticeScene, off_lines, predict_curved, settle};
 use crate::detection::coded::print::LabeledPrint;
 use crate::detection::grid::Node;
 use crate::detection::grid::in_steps;
@@ -64,7 +64,7 @@ impl TargetDetector {
         for index in 0..self.grid.members.len() {
             let (i, j) = self.grid.members[index];
             let (Some(node), Some((_, steps))) =
-                (self.grid.get(i, j), self.growth.expect(&self.sheets, &self.grid, (i, j)))
+                (self.grid.get(i, j), self.growth.predict(&self.sheets, &self.grid, (i, j)))
             else {
                 continue;
             };
@@ -136,7 +136,7 @@ impl TargetDetector {
     fn hold(&mut self, at: (i32, i32), most: f32) -> HeldCrossing {
         let suspect_share = self.thresholds.marker_corners.suspect_share;
         let narrow = self.sheets.widths[0].min(self.sheets.widths[1]);
-        let (expected, reach) = self.growth.expect_within(&self.sheets, &self.grid, at);
+        let (expected, reach) = self.growth.predict_within(&self.sheets, &self.grid, at);
         let held = HeldCrossing { reach: reach.max(CURVED), ..HeldCrossing::unknown(at) };
         let held = HeldCrossing { is_current: true, ..held };
         let (Some((expected, steps)), Some(node)) = (expected, self.grid.get(at.0, at.1)) else {
@@ -150,7 +150,7 @@ impl TargetDetector {
         let mut off = off_from(expected);
         // Under lens distortion, the lines through a crossing at the border are curved.
         if off > most
-            && let Some(curved) = expect_curved(&self.sheets, &self.grid, at)
+            && let Some(curved) = predict_curved(&self.sheets, &self.grid, at)
         {
             off = off.min(off_from(curved));
         }
@@ -254,10 +254,10 @@ impl TargetDetector {
         let limits = self.thresholds.marker_corners;
         let most_px = (limits.most_standing_off * limits.standing_std_px) as f32;
         let Some(pixel) = self.grid.pixel(at.0, at.1) else { return false };
-        let Some((expected, _)) = self.growth.expect(&self.sheets, &self.grid, at) else {
+        let Some((expected, _)) = self.growth.predict(&self.sheets, &self.grid, at) else {
             return false;
         };
-        let curved = expect_curved(&self.sheets, &self.grid, at);
+        let curved = predict_curved(&self.sheets, &self.grid, at);
         let off_px = |expected: Vec2| (pixel - expected).amax();
         curved.map_or(f32::MAX, off_px).min(off_px(expected)) > most_px
     }

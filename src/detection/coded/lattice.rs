@@ -133,17 +133,17 @@ impl LatticeGrowth {
     }
 
     /// Where the others of `grid` put the crossing (i, j), and one unit along each axis there.
-    pub(super) fn expect(
+    pub(super) fn predict(
         &mut self,
         sheets: &Sheets,
         grid: &Grid,
         at: (i32, i32),
     ) -> Option<(Vec2, [Vec2; 2])> {
-        self.expect_within(sheets, grid, at).0
+        self.predict_within(sheets, grid, at).0
     }
 
     /// The same, and within how many lines the others decide on it.
-    pub(super) fn expect_within(
+    pub(super) fn predict_within(
         &mut self,
         sheets: &Sheets,
         grid: &Grid,
@@ -166,7 +166,7 @@ impl LatticeGrowth {
         labeled: bool,
     ) -> (Option<Node>, i32) {
         self.places += 1;
-        let (Some((expected, steps)), reach) = self.expect_within(scene.sheets, grid, at) else {
+        let (Some((expected, steps)), reach) = self.predict_within(scene.sheets, grid, at) else {
             return (None, FARTHEST);
         };
         let (contrast, near) = contrast_near(grid, at.0, at.1);
@@ -178,7 +178,7 @@ impl LatticeGrowth {
             labeled,
         };
         let node = place.detect(scene).or_else(|| {
-            let curved = expect_curved(scene.sheets, grid, at)?;
+            let curved = predict_curved(scene.sheets, grid, at)?;
             Expected { pixel: curved, ..place }.detect(scene)
         });
         (node, reach.max(near).max(CURVED))
@@ -240,7 +240,7 @@ impl Expected {
 
 /// Where the lines that end beside the crossing (i, j) put it if they go on bending: a polynomial
 /// of second order through the last three crossings of each.
-pub(super) fn expect_curved(sheets: &Sheets, grid: &Grid, (i, j): (i32, i32)) -> Option<Vec2> {
+pub(super) fn predict_curved(sheets: &Sheets, grid: &Grid, (i, j): (i32, i32)) -> Option<Vec2> {
     let (mut sum, mut count) = (Vec2::zeros(), 0.0);
     for (di, dj) in [(1, 0), (0, 1), (-1, 0), (0, -1)] {
         let at = |k: i32| sheets.line(if dj == 0 { i + k * di } else { j + k * dj });
@@ -270,7 +270,7 @@ pub(super) fn off_lines(sheets: &Sheets, grid: &Grid, (i, j): (i32, i32)) -> Opt
         };
         Some((q - p) * (narrow / (last - first)))
     };
-    let off = grid.pixel(i, j)? - expect_curved(sheets, grid, (i, j))?;
+    let off = grid.pixel(i, j)? - predict_curved(sheets, grid, (i, j))?;
     in_steps(off, [cell(1, 0)?, cell(0, 1)?]).map(|off| off.amax())
 }
 

@@ -15,7 +15,7 @@ use crate::detection::coded::edge_line::{
     EdgeLine, EdgePlaces, NORMAL_MEDIAN, OUTLIER_STDS, Offset, PLACES, median,
 };
 use crate::detection::coded::labels::BoardLabel;
-use crate::detection::coded::lattice::expect_curved;
+use crate::detection::coded::lattice::predict_curved;
 use crate::detection::coded::sheet::Sheets;
 use crate::detection::grid::{Grid, in_steps};
 use crate::detection::measure::edges::sample;
@@ -180,7 +180,7 @@ impl MeetingSides {
             let cell = corner.steps.map(|step| step * narrow);
             let off =
                 |expected: Vec2| in_steps(pixel - expected, cell).map_or(f32::MAX, |o| o.amax());
-            let curved = expect_curved(sheets, grid, at).map_or(f32::MAX, off);
+            let curved = predict_curved(sheets, grid, at).map_or(f32::MAX, off);
             let is_near = off(corner.pixel).min(curved) <= limits.most_refined_off;
             if is_near && std_px <= limits.standing_std_px as f32 && sample(image, pixel).is_some()
             {
