@@ -3,10 +3,13 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::geometry::thin_lens::{BoardAdvice, ThinLens};
+use crate::geometry::thin_lens::{DepthOfField, ThinLens};
 
 /// How much of the image's width the advised board fills.
 const FILL: f64 = 0.5;
+/// The sharp range is cut off at this many times its nearest distance: a board in the middle of an
+/// unbounded one would be too large. Chosen.
+const MOST_FAR_OVER_NEAR: f64 = 3.0;
 
 /// What a lens keeps sharp: distances in meters from the lens, null for infinity.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -51,17 +54,27 @@ pub struct BoardAdviceDocument {
     pub distance_m: f64,
 }
 
+impl BoardAdviceDocument {
+    /// A board of `cols` inner corners a row, for an image `width_px` pixels wide. At its distance
+    /// both the nearest and the farthest corner of the tilted board stay sharp to `blur_px`: it is
+    /// the middle (in 1/distance) of the sharp range, which is cut off at three times its nearest
+    /// distance.
+    fn new(lens: &ThinLens, blur_px: f64, cols: u32, width_px: u32) -> Self {
+        let DepthOfField { near_m, far_m } = lens.depth_of_field(blur_px);
+        let far_m = far_m.min(MOST_FAR_OVER_NEAR * near_m);
+        let distance_m = 2.0 / (1.0 / near_m + 1.0 / far_m);
+        let width_m = FILL * f64::from(width_px) * distance_m / lens.focal_px();
+        Self { cols, square_m: width_m / f64::from(cols.saturating_add(1)), distance_m }
+    }
+}
+
 impl FocusDocument {
     /// For a lens of which `blur_px` is sharp enough; `board` is the inner corners along a row and
     /// the image's width in pixels.
     pub fn new(lens: &ThinLens, blur_px: f64, board: Option<(u32, u32)>) -> Self {
         let bounded = |distance_m: f64| distance_m.is_finite().then_some(distance_m);
         let depth = lens.depth_of_field(blur_px);
-        let advice = |(cols, width_px): (u32, u32)| {
-            let BoardAdvice { distance_m, square_m } =
-                lens.board(cols.saturating_add(1), width_px, FILL, blur_px);
-            BoardAdviceDocument { cols, square_m, distance_m }
-        };
+        let advice = |(cols, width_px)| BoardAdviceDocument::new(lens, blur_px, cols, width_px);
         Self {
             focal_m: lens.focal_m,
             f_number: lens.f_number,
@@ -93,6 +106,7 @@ mod tests {
         let board = document.board.clone().unwrap();
         let width_px = board.square_m * 10.0 / board.distance_m * document.focal_px;
         assert!((width_px - 640.0).abs() < 1e-9, "half of the width: {width_px}");
+        assert!(lens.blur_px(board.distance_m) < 1.0, "{board:?}");
         let json = to_json(&document).unwrap();
         assert_eq!(from_json::<FocusDocument>(json.as_bytes()), Ok(document));
     }

@@ -1,5 +1,4 @@
-//! The thin lens: the range of distances that is sharp, and from it the distance and the size of a
-//! board.
+//! The thin lens: the range of distances that is sharp.
 //!
 //! 1/f = 1/s + 1/v. The image of a point at distance d, with a lens focused at s, is a disc on the
 //! sensor of diameter A · f/(s − f) · |d − s|/d, where A = f/N is the aperture (E. Hecht, *Optics*,
@@ -48,16 +47,6 @@ pub struct DepthOfField {
     pub near_m: f64,
     /// The farthest; infinite from the hyperfocal distance on.
     pub far_m: f64,
-}
-
-/// The recommended board and its distance.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct BoardAdvice {
-    /// Its distance from the lens, in meters.
-    pub distance_m: f64,
-    /// The side of one square, in meters, with which the board fills the requested part of the
-    /// image.
-    pub square_m: f64,
 }
 
 impl ThinLens {
@@ -117,18 +106,6 @@ impl ThinLens {
     pub fn focal_px(self) -> f64 {
         self.focal_m / (1.0 - self.focal_m / self.focus_m) / self.pixel_m
     }
-
-    /// A board with `squares` squares along the image's side of `side_px` pixels that fills the
-    /// part `fill` of it. Its distance is such that both the nearest and the farthest corner of the
-    /// tilted board stay sharp to `blur_px`: in the middle (in 1/distance) of the sharp range, which
-    /// is cut off at three times its nearest distance.
-    pub fn board(self, squares: u32, side_px: u32, fill: f64, blur_px: f64) -> BoardAdvice {
-        let DepthOfField { near_m, far_m } = self.depth_of_field(blur_px);
-        let far_m = far_m.min(3.0 * near_m);
-        let distance_m = 2.0 / (1.0 / near_m + 1.0 / far_m);
-        let width_m = fill * f64::from(side_px) * distance_m / self.focal_px();
-        BoardAdvice { distance_m, square_m: width_m / f64::from(squares.max(1)) }
-    }
 }
 
 #[cfg(test)]
@@ -150,15 +127,6 @@ mod tests {
         let far = ThinLens { focus_m: f64::INFINITY, ..LENS };
         assert_eq!(far.depth_of_field(1.0).far_m, f64::INFINITY);
         assert!((far.focal_px() - 0.008 / 3.45e-6).abs() < 1e-6);
-    }
-
-    #[test]
-    fn the_advised_board_is_sharp_and_fills_the_image() {
-        let advice = LENS.board(10, 1280, 0.5, 1.0);
-        assert!(LENS.blur_px(advice.distance_m) < 1.0);
-        assert!(
-            (advice.square_m * 10.0 / advice.distance_m * LENS.focal_px() - 640.0).abs() < 1e-6
-        );
     }
 
     #[test]
