@@ -57,8 +57,8 @@ impl Detector {
         options: &DetectOptions,
     ) -> Result<Detection, NoBoard> {
         let probe = Probe { image, thresholds: &self.thresholds };
-        let buffers = (&mut self.search, &mut self.report);
-        find_and_report(probe, self.board, options, buffers).map(|(detection, _)| detection)
+        find_and_report(probe, self.board, options, &mut self.search, &mut self.report)
+            .map(|(detection, _)| detection)
     }
 
     /// Finds the board in the next image of a stream: first near its last position, else by
@@ -77,7 +77,7 @@ impl Detector {
         if let Some(detection) = tracker.follow(probe, *board, report) {
             return Ok(TrackedBoard { detection, followed: true });
         }
-        let searched = find_and_report(probe, *board, options, (search, report));
+        let searched = find_and_report(probe, *board, options, search, report);
         let whole = searched.as_ref().ok().filter(|(_, found)| found.whole);
         match whole {
             Some((detection, found)) => tracker.begin(found, *board, detection.blur_px),
@@ -92,7 +92,8 @@ fn find_and_report<'b>(
     probe: Probe<'_>,
     board: BoardSize,
     options: &DetectOptions,
-    (search, buffers): (&'b mut SearchBuffers, &mut ReportBuffers),
+    search: &'b mut SearchBuffers,
+    buffers: &mut ReportBuffers,
 ) -> Result<(Detection, FoundGrid<'b>), NoBoard> {
     let mut found = find(probe.image, board, probe.thresholds, search)?;
     if !found.whole && !options.allow_partial {

@@ -4,7 +4,7 @@ use image::{ImageFormat, Rgb, RgbImage};
 
 use crate::geometry::pixel::Pixel;
 use crate::imaging::draw::{self, Pen, draw_line};
-use crate::imaging::lettering::{draw_label, label_size};
+use crate::imaging::lettering::{LabelStyle, draw_label, label_size};
 
 /// Points of a board in its own frame, with how far each is from there. Lengths in meters.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -68,8 +68,8 @@ pub fn draw_board(board: BoardOffsets<'_>) -> Option<RgbImage> {
         draw_label(
             &mut image,
             line,
-            (0, place.size[1] + row * caption_height),
-            (INK, PAPER, LETTERING),
+            [0, place.size[1] + row * caption_height],
+            LabelStyle { ink: INK, plate: PAPER, scale: LETTERING },
         );
     }
     Some(image)

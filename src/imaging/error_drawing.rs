@@ -4,7 +4,7 @@
 use image::{Rgb, RgbImage};
 
 use crate::geometry::pixel::ImageSize;
-use crate::imaging::lettering::{draw_label, label_size};
+use crate::imaging::lettering::{LabelStyle, draw_label, label_size};
 
 /// Drawings are enlarged by whole factors up to this longer side, in pixels; larger ones stay.
 const LONGER_SIDE: u32 = 400;
@@ -16,6 +16,7 @@ const LETTERING: u32 = 2;
 const ROUNDING: f64 = 1e-3;
 const GROUND: Rgb<u8> = Rgb([200, 200, 200]);
 const INK: Rgb<u8> = Rgb([0, 0, 0]);
+const LABEL: LabelStyle = LabelStyle { ink: INK, plate: GROUND, scale: LETTERING };
 const TOO_NEAR: [f32; 3] = [33.0, 102.0, 172.0];
 const RIGHT: [f32; 3] = [247.0, 247.0, 247.0];
 const TOO_FAR: [f32; 3] = [178.0, 24.0, 43.0];
@@ -39,7 +40,7 @@ pub fn draw_errors(
     let mut image = RgbImage::from_pixel(2 * panel + 3 * GAP, below + line + GAP, GROUND);
     for (place, (errors, label)) in (0..).zip([before, after].into_iter().zip(labels)) {
         let left = GAP + place * (panel + GAP);
-        draw_label(&mut image, label, (left, GAP), (INK, GROUND, LETTERING));
+        draw_label(&mut image, label, [left, GAP], LABEL);
         for (x, y) in (0..tall * scale).flat_map(|y| (0..panel).map(move |x| (x, y))) {
             let at = (low[1] + y / scale) * size.width + low[0] + x / scale;
             let error = errors.get(at as usize).copied().filter(|error| error.is_finite());
@@ -61,8 +62,8 @@ fn draw_scale(image: &mut RgbImage, limit_mm: f32, top: u32) {
         let along = (x - from) as f32 / (to - from) as f32;
         image.put_pixel(x, y, color(2.0 * along - 1.0));
     }
-    draw_label(image, &near, (GAP, top), (INK, GROUND, LETTERING));
-    draw_label(image, &far, (to + GAP, top), (INK, GROUND, LETTERING));
+    draw_label(image, &near, [GAP, top], LABEL);
+    draw_label(image, &far, [to + GAP, top], LABEL);
 }
 
 fn scale_ends(limit_mm: f32) -> [String; 2] {

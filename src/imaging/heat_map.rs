@@ -4,7 +4,7 @@ use image::{ImageFormat, Rgb, RgbImage};
 
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::draw;
-use crate::imaging::lettering::{draw_label, label_size};
+use crate::imaging::lettering::{LabelStyle, draw_label, label_size};
 
 /// A positive quantity on a grid of pixels that spans an image from corner to corner, row by row;
 /// `None` where there is none.
@@ -46,6 +46,7 @@ const STEPS: [&[f64]; 4] = [
 const ENOUGH: usize = 4;
 /// Pixels a dot of the labels.
 const LETTERING: u32 = 2;
+const LABEL: LabelStyle = LabelStyle { ink: INK, plate: CONTOUR, scale: LETTERING };
 
 /// Draws the values: dark for 0.01 and less, bright for 2 and more, in steps of the logarithm
 /// between; contours at round values, each with its label, and below what the values are
@@ -78,7 +79,7 @@ pub fn draw_heat_map(map: &GridValues<'_>, caption: &str) -> RgbImage {
         write_on_contour(&mut image, &short(*level), crossing, caption_size, &mut taken);
     }
     let top = height.saturating_sub(caption_size[1]);
-    draw_label(&mut image, caption, (0, top), (INK, CONTOUR, LETTERING));
+    draw_label(&mut image, caption, [0, top], LABEL);
     image
 }
 
@@ -165,7 +166,7 @@ fn write_on_contour(
             .all(|other| place.0.abs_diff(other.0) > width || place.1.abs_diff(other.1) > height)
     };
     let Some(place) = best.filter(clear) else { return };
-    draw_label(image, text, (place.0 - width / 2, place.1 - height / 2), (INK, CONTOUR, LETTERING));
+    draw_label(image, text, [place.0 - width / 2, place.1 - height / 2], LABEL);
     taken.push(place);
 }
 

@@ -56,15 +56,21 @@ pub fn label_size(text: &str, scale: u32) -> [u32; 2] {
     [(letters * ADVANCE + 1) * scale, (LETTER[1] + 2) * scale]
 }
 
-/// Writes `text` in `color` on a plate of another one, `scale` pixels a dot, its top left at
-/// `(left, top)`. Letters that the face lacks are left blank, and so is what lies outside the
-/// image.
-pub fn draw_label(
-    image: &mut RgbImage,
-    text: &str,
-    (left, top): (u32, u32),
-    (color, plate, scale): (Color, Color, u32),
-) {
+/// How a label is drawn.
+#[derive(Debug, Clone, Copy)]
+pub struct LabelStyle {
+    /// The color of the letters.
+    pub ink: Color,
+    /// The color of the plate behind them.
+    pub plate: Color,
+    /// Pixels a dot.
+    pub scale: u32,
+}
+
+/// Writes `text` with its top left corner at the pixel `[left, top]`. Letters that the face lacks
+/// are left blank, and so is what lies outside the image.
+pub fn draw_label(image: &mut RgbImage, text: &str, [left, top]: [u32; 2], style: LabelStyle) {
+    let LabelStyle { ink, plate, scale } = style;
     let [width, height] = label_size(text, scale);
     let mut put = |x: u32, y: u32, color: Color| {
         if let Some(pixel) = image.get_pixel_mut_checked(left + x, top + y) {
@@ -80,7 +86,7 @@ pub fn draw_label(
             (0..LETTER[1] * scale).flat_map(|y| (0..LETTER[0] * scale).map(move |x| (x, y)))
         {
             if rows[(y / scale) as usize] >> (LETTER[0] - 1 - x / scale) & 1 == 1 {
-                put(scale + place as u32 * ADVANCE * scale + x, scale + y, color);
+                put(scale + place as u32 * ADVANCE * scale + x, scale + y, ink);
             }
         }
     }
@@ -102,7 +108,7 @@ mod tests {
         let written = |text: &str| {
             let [width, height] = label_size(text, 2);
             let mut image = RgbImage::new(width, height);
-            draw_label(&mut image, text, (0, 0), (ink, plate, 2));
+            draw_label(&mut image, text, [0, 0], LabelStyle { ink, plate, scale: 2 });
             image
         };
         for (index, (letter, _)) in FACE.iter().enumerate() {
@@ -115,6 +121,11 @@ mod tests {
         }
         assert!(written("?").pixels().all(|pixel| *pixel == plate));
         assert!(can_write("-0.05 px") && !can_write("5?"));
-        draw_label(&mut RgbImage::new(3, 3), "0.05 px", (1, 2), (ink, plate, 2));
+        draw_label(
+            &mut RgbImage::new(3, 3),
+            "0.05 px",
+            [1, 2],
+            LabelStyle { ink, plate, scale: 2 },
+        );
     }
 }

@@ -269,7 +269,7 @@ impl TargetDetector {
                 break;
             }
             let before = self.growth.places;
-            if self.used[first] || !self.start(view, search, (first, floor.most_crossings)) {
+            if self.used[first] || !self.start(view, search, first, floor.most_crossings) {
                 continue;
             }
             let is_floor = self.grid.members.len() > floor.most_crossings;
@@ -334,7 +334,8 @@ impl TargetDetector {
         &mut self,
         view: GrayView<'_>,
         search: LatticeSearch,
-        (first, most_crossings): (usize, usize),
+        first: usize,
+        most_crossings: usize,
     ) -> bool {
         let candidates = &self.candidates.found;
         let longer = view.width().max(view.height()) as f32;
@@ -345,7 +346,7 @@ impl TargetDetector {
         };
         let seed = self.neighborhood.seed(candidates, first, reach).or_else(|| {
             (search == LatticeSearch::FewSquares)
-                .then(|| (0..4).find_map(|quarter| self.close(view, (first, quarter), reach)))
+                .then(|| (0..4).find_map(|quarter| self.close(view, first, quarter, reach)))
                 .flatten()
         });
         let Some(seed) = seed else { return false };
@@ -356,7 +357,7 @@ impl TargetDetector {
             sheets: &self.sheets,
             thresholds: &self.thresholds.lattice,
         };
-        self.growth.start(scene, (&seed, most_crossings), &mut self.grid, &mut self.spare);
+        self.growth.start(scene, &seed, most_crossings, &mut self.grid, &mut self.spare);
         true
     }
 

@@ -278,7 +278,7 @@ impl TargetDetector {
         }
         let blur_px = median_of(&mut blurs).unwrap_or(0.0);
         let Self { meeting, sheets, grid, thresholds, .. } = self;
-        let meeting = meeting.points(image, (sheets, grid, label), thresholds, blur_px);
+        let meeting = meeting.points(image, sheets, grid, label, thresholds, blur_px);
         let met = meeting.iter().map(|it| self.labeled(label, it.at, it.pixel, it.std_px));
         corners.extend(met);
         self.answer(label, corners, blurs)

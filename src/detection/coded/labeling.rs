@@ -6,6 +6,7 @@ use std::ops::Range;
 use crate::detection::coded::detector::TargetDetector;
 use crate::detection::coded::ends::{LatticeInImage, by_sides};
 use crate::detection::coded::labels::{BestLabel, BoardLabel, BoardLabels, contradicted_around};
+use crate::detection::coded::reading::SheetCells;
 use crate::imaging::gray::GrayView;
 
 impl TargetDetector {
@@ -17,14 +18,16 @@ impl TargetDetector {
     ) -> BoardLabels {
         let mut believed = BoardLabels::None;
         for (inverted, ways) in self.readings(expected) {
-            let sheet = &self.sheets.ways[ways.start];
             let in_bright = self.sheets.in_bright != inverted;
-            self.reading.read(view, &self.sheets, sheet, &self.grid, in_bright);
+            let Self { reading, sheets, grid, .. } = self;
+            reading.read(
+                view,
+                SheetCells { sheets, sheet: &sheets.ways[ways.start], grid, in_bright },
+            );
             for beyond in [0, self.thresholds.labels.most_beyond] {
                 let mut best = BestLabel::default();
                 for way in ways.clone() {
-                    let sheet = (&self.sheets, way);
-                    best.weigh(sheet, &self.grid, &self.reading, (inverted, beyond));
+                    best.weigh(&self.sheets, way, &self.grid, &self.reading, inverted, beyond);
                 }
                 let labels = best.labels(&self.reading, &self.sheets);
                 believed = better(believed, self.by_ends(view, labels));
@@ -72,10 +75,11 @@ impl TargetDetector {
 
     /// How many of the cells around the lattice contradict `label`.
     fn contradicted(&mut self, view: GrayView<'_>, label: &BoardLabel) -> Option<usize> {
-        let sheet = &self.sheets.ways[label.way];
-        let in_bright = self.sheets.in_bright != label.inverted;
-        self.reading.read_around(view, (&self.sheets, sheet), &self.grid, in_bright);
-        contradicted_around(sheet, &self.reading, label)
+        let Self { reading, sheets, grid, .. } = self;
+        let sheet = &sheets.ways[label.way];
+        let in_bright = sheets.in_bright != label.inverted;
+        reading.read_around(view, SheetCells { sheets, sheet, grid, in_bright });
+        contradicted_around(sheet, reading, label)
     }
 
     /// Chooses between two places that fit equally by the board's ends.

@@ -60,10 +60,12 @@ impl BestLabel {
     /// Weighs all places of `grid`, whose cells are read, in the `way`-th sheet.
     pub(super) fn weigh(
         &mut self,
-        (sheets, way): (&Sheets, usize),
+        sheets: &Sheets,
+        way: usize,
         grid: &Grid,
         reading: &MarkerReading,
-        (inverted, beyond): (bool, i32),
+        inverted: bool,
+        beyond: i32,
     ) {
         let Some(bounds) = grid.anchored_bounds() else { return };
         let (sheet, limits) = (&sheets.ways[way], &reading.limits);

@@ -40,7 +40,8 @@ impl LatticeGrowth {
     pub(super) fn start(
         &mut self,
         scene: LatticeScene<'_>,
-        (seed, most_crossings): (&Seed, usize),
+        seed: &Seed,
+        most_crossings: usize,
         grid: &mut Grid,
         spare: &mut Grid,
     ) {

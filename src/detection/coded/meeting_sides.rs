@@ -147,7 +147,9 @@ impl MeetingSides {
     pub(super) fn points(
         &mut self,
         image: GrayView<'_>,
-        (sheets, grid, label): (&Sheets, &Grid, BoardLabel),
+        sheets: &Sheets,
+        grid: &Grid,
+        label: BoardLabel,
         thresholds: &Thresholds,
         blur_px: f64,
     ) -> Vec<MeetingPoint> {

@@ -10,18 +10,19 @@ use crate::detection::vec2::Vec2;
 use crate::imaging::gray::GrayView;
 
 impl TargetDetector {
-    /// The square of three candidates; `at` gives the first of them and a quarter around it. Its
+    /// The square of three candidates, in one of the four quarters around the `first` of them. Its
     /// fourth corner is no candidate, either since it is too blurred, or since a gap separates the
     /// squares that meet there. `None` if no crossing is measured there. The fourth corner becomes
     /// a candidate.
     pub(super) fn close(
         &mut self,
         view: GrayView<'_>,
-        at: (usize, usize),
+        first: usize,
+        quarter: usize,
         reach: f32,
     ) -> Option<Seed> {
         let Self { candidates, neighborhood, sheets, thresholds, used, open_squares, .. } = self;
-        let open = neighborhood.open_seed(&candidates.found, at, reach)?;
+        let open = neighborhood.open_seed(&candidates.found, first, quarter, reach)?;
         *open_squares += 1;
         if *open_squares > thresholds.lattice.most_starts {
             return None;

@@ -19,6 +19,16 @@ const AROUND: RangeInclusive<usize> = 2..=2;
 /// With fewer cells than this, cells with fewer known corners are read as well.
 const FEW_CELLS: usize = 3;
 
+/// Cells of a lattice, to be read as those of a sheet.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct SheetCells<'a> {
+    pub sheets: &'a Sheets,
+    pub sheet: &'a Sheet,
+    pub grid: &'a Grid,
+    /// Whether markers are in the bright cells, or in the dark ones.
+    pub in_bright: bool,
+}
+
 /// A cell that may hold a marker.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct MarkerCell {
@@ -53,43 +63,30 @@ impl MarkerReading {
         Self { limits, ..Self::default() }
     }
 
-    /// Reads all cells of `grid` that are bright, or dark, according to `in_bright`, as cells of
-    /// `sheet`: those with at least three known corners, and if these are few, those with two.
-    pub(super) fn read(
-        &mut self,
-        image: GrayView<'_>,
-        sheets: &Sheets,
-        sheet: &Sheet,
-        grid: &Grid,
-        in_bright: bool,
-    ) {
+    /// Reads all cells of the lattice: those with at least three known corners, and if these are
+    /// few, those with two.
+    pub(super) fn read(&mut self, image: GrayView<'_>, cells: SheetCells<'_>) {
         for known in [WELL_KNOWN, BARELY_KNOWN] {
-            self.read_known(image, (sheets, sheet), grid, (in_bright, known));
+            self.read_known(image, cells, known);
             if self.cells.len() >= FEW_CELLS {
                 break;
             }
         }
     }
 
-    /// Reads the cells around `grid` that share an edge with it.
-    pub(super) fn read_around(
-        &mut self,
-        image: GrayView<'_>,
-        of: (&Sheets, &Sheet),
-        grid: &Grid,
-        in_bright: bool,
-    ) {
-        self.read_known(image, of, grid, (in_bright, AROUND));
+    /// Reads the cells around the lattice that share an edge with it.
+    pub(super) fn read_around(&mut self, image: GrayView<'_>, cells: SheetCells<'_>) {
+        self.read_known(image, cells, AROUND);
     }
 
     /// Reads the cells with this many known corners.
     fn read_known(
         &mut self,
         image: GrayView<'_>,
-        (sheets, sheet): (&Sheets, &Sheet),
-        grid: &Grid,
-        (in_bright, corners_known): (bool, RangeInclusive<usize>),
+        cells: SheetCells<'_>,
+        corners_known: RangeInclusive<usize>,
     ) {
+        let SheetCells { sheets, grid, in_bright, .. } = cells;
         self.cells.clear();
         self.agreement.clear();
         self.codes = sheets.columns.room;
@@ -103,7 +100,7 @@ impl MarkerReading {
                 let corners = [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)];
                 let known = corners.iter().filter(|at| grid.get(at.0, at.1).is_some()).count();
                 if corners_known.contains(&known)
-                    && let Some(depth) = self.sample(image, (sheets, sheet), grid, (i, j))
+                    && let Some(depth) = self.sample(image, cells, (i, j))
                 {
                     self.compare(sheets, (i, j), depth, contrast(grid, &corners));
                 }
@@ -124,10 +121,10 @@ impl MarkerReading {
     fn sample(
         &mut self,
         image: GrayView<'_>,
-        (sheets, sheet): (&Sheets, &Sheet),
-        grid: &Grid,
+        cells: SheetCells<'_>,
         (i, j): (i32, i32),
     ) -> Option<f32> {
+        let SheetCells { sheets, sheet, grid, .. } = cells;
         let chart = Chart::near(grid, sheets, (i, j), None, &mut self.pairs)?;
         let side = sheets.widths[0];
         let step = (1.0 - 2.0 * sheet.inset) * side / sheets.bits as f32;

@@ -101,7 +101,7 @@ impl PrintPatch {
         blur: PrintBlur,
     ) -> bool {
         let margin = blur.reach(window.bin);
-        let disturbed = self.read(print, corner, window, (margin, Layers::Both));
+        let disturbed = self.read(print, corner, window, margin, Layers::Both);
         disturbed && self.blurred(blur, window)
     }
 
@@ -113,7 +113,7 @@ impl PrintPatch {
         window: &Window,
         blur: PrintBlur,
     ) {
-        self.read(print, corner, window, (blur.reach(window.bin), Layers::Print));
+        self.read(print, corner, window, blur.reach(window.bin), Layers::Print);
         self.blurred(blur, window);
     }
 
@@ -126,7 +126,7 @@ impl PrintPatch {
         window: &Window,
         blur: PrintBlur,
     ) {
-        self.read(print, corner, window, (blur.reach_of_any(window.bin), Layers::Print));
+        self.read(print, corner, window, blur.reach_of_any(window.bin), Layers::Print);
     }
 
     /// Blurs what was read in the samples of `window`. Returns false where the blur reaches farther
@@ -196,7 +196,8 @@ impl PrintPatch {
         print: &dyn BoardPrint,
         corner: usize,
         window: &Window,
-        (margin, layers): (i64, Layers),
+        margin: i64,
+        layers: Layers,
     ) -> bool {
         let bin = window.bin as f64;
         let half = (bin - 1.0) / 2.0;

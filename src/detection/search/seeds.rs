@@ -134,7 +134,8 @@ impl Neighborhood {
     pub(in crate::detection) fn open_seed(
         &mut self,
         candidates: &[Candidate],
-        (first, quarter): (usize, usize),
+        first: usize,
+        quarter: usize,
         reach: f32,
     ) -> Option<OpenSeed> {
         let links = self.links(candidates, first, reach);
@@ -151,7 +152,7 @@ impl Neighborhood {
             || OpenSeed {
                 corners: [first, a, b],
                 fourth: candidates[a].pixel + from_a * distance,
-                bright: quarter % 2 == 0,
+                bright: quarter.is_multiple_of(2),
             },
         )
     }
@@ -330,7 +331,7 @@ mod tests {
         neighborhood.fill(&candidates, 120, 90);
         assert!(neighborhood.seed(&candidates, 0, 40.0).is_none());
         let open: Vec<OpenSeed> = (0..4)
-            .filter_map(|quarter| neighborhood.open_seed(&candidates, (0, quarter), 40.0))
+            .filter_map(|quarter| neighborhood.open_seed(&candidates, 0, quarter, 40.0))
             .collect();
         assert_eq!(open.len(), 1);
         assert!((open[0].fourth - missing).norm() < 1e-4, "{:?}", open[0]);

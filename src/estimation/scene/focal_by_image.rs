@@ -106,7 +106,8 @@ pub fn focal_by_image(bundle: &Bundle, state: &SceneState) -> Option<FocalByImag
                 RowColumns::of(bundle, row, by_focal, own + row.camera)
             })
             .collect();
-        add_point(bundle, state, (point, &rows, &columns), (&mut matrix, &mut gradient));
+        let of_point = PointRows { point, rows: &rows, columns: &columns };
+        of_point.add_to(bundle, state, &mut matrix, &mut gradient);
     }
     bundle.add_prior(&state.lens, &mut matrix, &mut gradient);
     (own..own + cameras).for_each(|k| matrix[(k, k)] += OPEN.powi(-2));
@@ -143,40 +144,51 @@ impl RowColumns {
     }
 }
 
-/// Adds the rows of a point to the lower triangle, and eliminates the point.
-fn add_point(
-    bundle: &Bundle,
-    state: &SceneState,
-    (point, rows, columns): (usize, &[PixelRow], &[RowColumns]),
-    (matrix, gradient): (&mut DMatrix<f64>, &mut DVector<f64>),
-) {
-    let mut block = Matrix3::zeros();
-    let mut point_gradient = Vector3::zeros();
-    for row in rows {
-        block += row.by_point.tr_mul(&row.by_point);
-        point_gradient += row.by_point.tr_mul(&row.residual);
-    }
-    block += bundle.held_length(&block, &state.points[point]);
-    let Some(inverse) = block.try_inverse() else { return };
-    let mut mixed: Vec<(usize, Vector3<f64>)> = Vec::new();
-    for (row, RowColumns(columns)) in rows.iter().zip(columns) {
-        for (i, a) in columns {
-            gradient[*i] += a.dot(&row.residual);
-            let by_point: Vector3<f64> = row.by_point.tr_mul(a);
-            match mixed.iter_mut().find(|(k, _)| k == i) {
-                Some((_, sum)) => *sum += by_point,
-                None => mixed.push((*i, by_point)),
-            }
-            for (j, b) in columns.iter().filter(|(j, _)| j <= i) {
-                matrix[(*i, *j)] += a.dot(b);
+/// The observations of a point, each with its columns.
+struct PointRows<'a> {
+    point: usize,
+    rows: &'a [PixelRow],
+    columns: &'a [RowColumns],
+}
+
+impl PointRows<'_> {
+    /// Adds the rows to the lower triangle of `matrix`, and eliminates the point.
+    fn add_to(
+        &self,
+        bundle: &Bundle,
+        state: &SceneState,
+        matrix: &mut DMatrix<f64>,
+        gradient: &mut DVector<f64>,
+    ) {
+        let Self { point, rows, columns } = *self;
+        let mut block = Matrix3::zeros();
+        let mut point_gradient = Vector3::zeros();
+        for row in rows {
+            block += row.by_point.tr_mul(&row.by_point);
+            point_gradient += row.by_point.tr_mul(&row.residual);
+        }
+        block += bundle.held_length(&block, &state.points[point]);
+        let Some(inverse) = block.try_inverse() else { return };
+        let mut mixed: Vec<(usize, Vector3<f64>)> = Vec::new();
+        for (row, RowColumns(columns)) in rows.iter().zip(columns) {
+            for (i, a) in columns {
+                gradient[*i] += a.dot(&row.residual);
+                let by_point: Vector3<f64> = row.by_point.tr_mul(a);
+                match mixed.iter_mut().find(|(k, _)| k == i) {
+                    Some((_, sum)) => *sum += by_point,
+                    None => mixed.push((*i, by_point)),
+                }
+                for (j, b) in columns.iter().filter(|(j, _)| j <= i) {
+                    matrix[(*i, *j)] += a.dot(b);
+                }
             }
         }
-    }
-    for (i, a) in &mixed {
-        let carried: SMatrix<f64, 3, 1> = inverse * a;
-        gradient[*i] -= carried.dot(&point_gradient);
-        for (j, b) in mixed.iter().filter(|(j, _)| j <= i) {
-            matrix[(*i, *j)] -= carried.dot(b);
+        for (i, a) in &mixed {
+            let carried: SMatrix<f64, 3, 1> = inverse * a;
+            gradient[*i] -= carried.dot(&point_gradient);
+            for (j, b) in mixed.iter().filter(|(j, _)| j <= i) {
+                matrix[(*i, *j)] -= carried.dot(b);
+            }
         }
     }
 }

@@ -98,11 +98,11 @@ impl TargetDetector {
         self.growth.places = 0;
         let mut starts = 0;
         for place in 0..self.order.len() {
-            let first = (self.order[place].1, MOST_CROSSINGS);
+            let first = self.order[place].1;
             if starts == self.thresholds.lattice.most_starts || self.growth.places > most_places {
                 break;
             }
-            if self.used[first.0] || !self.start(view, LatticeSearch::Boards, first) {
+            if self.used[first] || !self.start(view, LatticeSearch::Boards, first, MOST_CROSSINGS) {
                 continue;
             }
             self.spend();
