@@ -10,7 +10,7 @@ use nalgebra::{DMatrix, Point3};
 use crate::calibration::rgbd_error::RgbdError;
 use crate::calibration::rgbd_input::{RgbdFrameSet, RgbdInput, poses, views};
 use crate::calibration::solve::SolvedCamera;
-use crate::detection::board_plane::{NoPlane, PlaneOptions, find_board_plane};
+use crate::detection::board_plane::{DepthInput, NoPlane, PlaneOptions, find_board_plane};
 use crate::detection::plane_growth::grow_plane;
 use crate::estimation::board_pose::board_poses;
 use crate::estimation::board_surface::BoardSurface;
@@ -231,12 +231,12 @@ impl InitialGuess {
         {
             let (Some(color_from_board), true) = (*pose, frame_set.is_view) else { continue };
             let seen = frame_set.depth.as_ref().map(|image| {
-                let depth =
+                let lens =
                     PosedDepthLens { lens: self.lens, depth_from_color: self.depth_from_color };
-                let outline = board_outline(&input.board, &depth, &color_from_board, margin);
-                let meaning = (self.reading, &self.lens);
-                let tiles = find_board_plane(image, meaning, &outline, &plane_options)?;
-                let surround = grow_plane(image, meaning, (&tiles, &outline), &plane_options);
+                let outline = board_outline(&input.board, &lens, &color_from_board, margin);
+                let depth = DepthInput { image, reading: self.reading, lens: &self.lens };
+                let tiles = find_board_plane(depth, &outline, &plane_options)?;
+                let surround = grow_plane(depth, &tiles, &outline, &plane_options);
                 Ok((self.on_plane(tiles, &color_from_board), surround))
             });
             let (tiles, surround) = match seen {

@@ -21,7 +21,7 @@ use crate::calibration::information::expected_depth::DepthTileNoise;
 use crate::calibration::information::infrared_corners::InfraredNormal;
 use crate::calibration::information::view_information::ViewNormal;
 use crate::calibration::rgbd_guess::{board_outline, same_view};
-use crate::detection::board_plane::{NoPlane, PlaneOptions, find_board_plane};
+use crate::detection::board_plane::{DepthInput, NoPlane, PlaneOptions, find_board_plane};
 use crate::estimation::problem::BoardView;
 use crate::estimation::rgbd::plane_information::{PlacedDepth, PlaneNormal, TileSample};
 use crate::geometry::depth_camera::{DepthReading, PosedDepthLens};
@@ -172,8 +172,8 @@ impl DepthCameraInformation {
         let margin = known_margin.unwrap_or(UNKNOWN_MARGIN_SQUARES);
         let outline = board_outline(&self.target, &depth, &in_color.camera_from_board, margin);
         let options = PlaneOptions { invalid: self.invalid, ..PlaneOptions::default() };
-        let meaning = (self.depth.reading, &depth.lens);
-        match find_board_plane(image, meaning, &outline, &options) {
+        let input = DepthInput { image, reading: self.depth.reading, lens: &depth.lens };
+        match find_board_plane(input, &outline, &options) {
             Ok(tiles) => Some(MeasuredView::new(in_color.number, tiles)),
             Err(NoPlane::Holes { .. } | NoPlane::NotFlat { .. }) => {
                 let middle = Point3::from(in_color.normal().middle_in_camera);

@@ -12,6 +12,17 @@ use crate::geometry::median::median;
 use crate::geometry::pixel::Pixel;
 use crate::imaging::depth_image::DepthImage;
 
+/// A depth image, what its values mean, and the lens that it was taken through.
+#[derive(Debug, Clone, Copy)]
+pub struct DepthInput<'a> {
+    /// The image.
+    pub image: &'a DepthImage,
+    /// What a value of it means.
+    pub reading: DepthReading,
+    /// The depth camera's lens.
+    pub lens: &'a Lens,
+}
+
 /// Options of the measurement of a board's surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlaneOptions {
@@ -65,17 +76,16 @@ pub enum NoPlane {
 /// Readings of a patch that are farther from its plane, in standard deviations, are trimmed.
 const TRIM: f64 = 3.5;
 
-/// Measures the surface inside `outline` (a closed polygon in pixels of the depth image), seen
-/// through `lens`.
+/// Measures the surface inside `outline`, a closed polygon in pixels of the depth image.
 ///
 /// # Errors
 /// [`NoPlane`]: blank, outside the image, holes, not flat.
 pub fn find_board_plane(
-    image: &DepthImage,
-    (reading, lens): (DepthReading, &Lens),
+    depth: DepthInput<'_>,
     outline: &[Pixel],
     options: &PlaneOptions,
 ) -> Result<Vec<DepthTile>, NoPlane> {
+    let DepthInput { image, lens, .. } = depth;
     if let Some(reading) = image.only_reading() {
         return Err(NoPlane::Blank { reading });
     }
@@ -93,7 +103,7 @@ pub fn find_board_plane(
     for y in (top..bottom).step_by(side) {
         let rows = &spans[y - top..(y - top + side).min(spans.len())];
         for x in (left..right).step_by(side) {
-            let inside = gather(image, (reading, options.invalid), rows, x..x + side, &mut samples);
+            let inside = gather(depth, options.invalid, rows, x..x + side, &mut samples);
             seen += samples.len();
             if 2 * samples.len() >= inside.max(side * side / 2) {
                 tiles.extend(fit_tile(&mut samples));
@@ -154,8 +164,8 @@ fn spans_inside(outline: &[Pixel], image: &DepthImage) -> Vec<Span> {
 /// Collects (x, y, 1/z) of the readings in a patch; returns how many of its pixels lie inside the
 /// outline.
 fn gather(
-    image: &DepthImage,
-    (reading, invalid): (DepthReading, Option<u16>),
+    depth: DepthInput<'_>,
+    invalid: Option<u16>,
     rows: &[Span],
     columns: std::ops::Range<usize>,
     samples: &mut Vec<[f64; 3]>,
@@ -166,11 +176,11 @@ fn gather(
         let (start, end) = (span.start.max(columns.start), span.end.min(columns.end));
         inside += end.saturating_sub(start);
         for x in start..end {
-            let raw = image.row(span.y)[x];
+            let raw = depth.image.row(span.y)[x];
             if Some(raw) == invalid {
                 continue;
             }
-            if let Some(inverse) = reading.inverse_depth(f64::from(raw)) {
+            if let Some(inverse) = depth.reading.inverse_depth(f64::from(raw)) {
                 samples.push([x as f64, span.y as f64, inverse]);
             }
         }
@@ -292,13 +302,9 @@ mod tests {
     fn a_tilted_plane_is_measured_and_a_hand_before_it_is_left_out() {
         let plane = |x: f64, y: f64| 1.0 / (0.7 + 0.0004 * (x - 160.0) - 0.0002 * (y - 120.0));
         let with_hand = image(|x, y| if x > 150.0 && y > 150.0 { 0.6 } else { plane(x, y) });
-        let tiles = find_board_plane(
-            &with_hand,
-            (METRIC, &lens()),
-            &square(40.0, 200.0),
-            &PlaneOptions::default(),
-        )
-        .unwrap();
+        let depth = DepthInput { image: &with_hand, reading: METRIC, lens: &lens() };
+        let tiles =
+            find_board_plane(depth, &square(40.0, 200.0), &PlaneOptions::default()).unwrap();
         assert!(tiles.len() > 80, "{}", tiles.len());
         for tile in tiles {
             let truth = 1.0 / plane(tile.pixel.x, tile.pixel.y);
@@ -310,7 +316,8 @@ mod tests {
     #[test]
     fn what_cannot_be_measured_is_said() {
         let find = |image: &DepthImage, outline: &[Pixel]| {
-            find_board_plane(image, (METRIC, &lens()), outline, &PlaneOptions::default())
+            let depth = DepthInput { image, reading: METRIC, lens: &lens() };
+            find_board_plane(depth, outline, &PlaneOptions::default())
         };
         let flat = image(|x, _| 1.0 + 1e-3 * x);
         assert_eq!(find(&flat, &square(400.0, 500.0)), Err(NoPlane::Outside));

@@ -8,24 +8,27 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::detection::depth::board_plane::{PlaneOptions, fit_tile};
-use crate::geometry::depth_camera::{DepthReading, DepthTile};
+use crate::detection::depth::board_plane::{DepthInput, PlaneOptions, fit_tile};
+use crate::geometry::depth_camera::DepthTile;
 use crate::geometry::lens::Lens;
 use crate::geometry::median::median;
 use crate::geometry::pixel::Pixel;
-use crate::imaging::depth_image::DepthImage;
 
-/// Approximate number of patches that cover an image.
+/// Approximate number of patches that cover an image. Chosen, not swept.
 const PATCHES: f64 = 400.0;
+
+/// Least side of a patch, in pixels: 36 readings, twelve for each unknown of a plane.
+const LEAST_SIDE_PX: usize = 6;
 
 /// A patch continues its neighbor if their deviations from the common plane differ by at most this
 /// many standard deviations of both, plus this fraction of 1/z: the systematic error changes by
-/// less from patch to patch.
-const STEP: [f64; 2] = [4.0, 0.0015];
+/// less from patch to patch. Neither was swept.
+const MOST_STEP_STDS: f64 = 4.0;
+const MOST_STEP_PART: f64 = 0.0015;
 
 /// A patch whose readings scatter more than this many times as much as the board's contains an
-/// edge.
-const ROUGH: f64 = 1.6;
+/// edge. Chosen, not swept.
+const MOST_SCATTER: f64 = 1.6;
 
 /// Neighboring readings are correlated: the standard deviation of a patch's mean is at least this
 /// fraction of that of one reading.
@@ -41,76 +44,108 @@ struct PlanePatch {
 /// The patches of the surface that `board` (its own patches) lies on, without those inside its
 /// `outline`.
 pub fn grow_plane(
-    image: &DepthImage,
-    (reading, lens): (DepthReading, &Lens),
-    (board, outline): (&[DepthTile], &[Pixel]),
+    depth: DepthInput<'_>,
+    board: &[DepthTile],
+    outline: &[Pixel],
     options: &PlaneOptions,
 ) -> Vec<DepthTile> {
-    let size = image.size();
-    let side = ((f64::from(size.width) * f64::from(size.height) / PATCHES).sqrt() as usize).max(6);
-    let (across, down) = (size.width as usize / side, size.height as usize / side);
     let stds = board.iter().map(|tile| tile.reading_std).collect();
     let Some(median_std) = median(stds) else { return Vec::new() };
-    let patch = |cell: usize| {
-        let tile = measure(
-            image,
-            reading,
-            options.invalid,
-            [cell % across * side, cell / across * side],
-            side,
-        )?;
-        // With quantization alone, a patch along a step of depth has no scatter, so only greater
-        // scatter is suspect.
-        let step = reading.inverse_depth_step(tile.inverse_depth);
-        (tile.reading_std <= ROUGH * median_std.hypot(0.5 * step)).then_some(())?;
-        Some(PlanePatch { tile, ray: ray(lens, tile.pixel)? })
-    };
+    let mut patches = PatchGrid::new(depth, options.invalid, median_std);
     let mut plane = PlaneSums::default();
     board
         .iter()
-        .filter_map(|tile| Some(PlanePatch { tile: *tile, ray: ray(lens, tile.pixel)? }))
+        .filter_map(|tile| Some(PlanePatch { tile: *tile, ray: ray(depth.lens, tile.pixel)? }))
         .for_each(|p| plane.add(&p));
-    // Most patches are never reached: each is measured on first use.
-    let mut measured: Vec<Option<Option<PlanePatch>>> = vec![None; across * down];
-    let mut patch_at = |cell: usize| *measured[cell].get_or_insert_with(|| patch(cell));
-    let inside = |pixel: Pixel| is_inside(outline, pixel);
-    let on_board = |cell: usize| {
-        let at = Pixel::new(
-            ((cell % across) as f64 + 0.5) * side as f64,
-            ((cell / across) as f64 + 0.5) * side as f64,
-        );
-        inside(at)
-    };
-    let mut layer: Vec<usize> =
-        (0..across * down).filter(|cell| on_board(*cell) && patch_at(*cell).is_some()).collect();
-    let mut taken = vec![false; across * down];
+    let mut layer: Vec<usize> = (0..patches.count())
+        .filter(|cell| is_inside(outline, patches.middle(*cell)) && patches.at(*cell).is_some())
+        .collect();
+    let mut taken = vec![false; patches.count()];
     layer.iter().for_each(|cell| taken[*cell] = true);
     let mut grown = Vec::new();
     while let (false, Some(normal)) = (layer.is_empty(), plane.solve()) {
+        let continues =
+            |near: &PlanePatch, next: &PlanePatch| goes_on(&normal, near, next, options.tolerance);
+        layer = patches.next_layer(&layer, &mut taken, continues);
+        for patch in layer.iter().filter_map(|cell| patches.at(*cell)) {
+            plane.add(&patch);
+            if !is_inside(outline, patch.tile.pixel) {
+                grown.push(patch.tile);
+            }
+        }
+    }
+    grown
+}
+
+/// The patches of an image, row by row. Most are never reached: each is measured on first use.
+struct PatchGrid<'a> {
+    depth: DepthInput<'a>,
+    invalid: Option<u16>,
+    /// The median scatter of the board's readings, in 1/z.
+    median_std: f64,
+    /// Pixels along a side of a patch.
+    side: usize,
+    /// How many there are along a row and along a column.
+    across: usize,
+    down: usize,
+    measured: Vec<Option<Option<PlanePatch>>>,
+}
+
+impl<'a> PatchGrid<'a> {
+    fn new(depth: DepthInput<'a>, invalid: Option<u16>, median_std: f64) -> Self {
+        let size = depth.image.size();
+        let area = f64::from(size.width) * f64::from(size.height);
+        let side = ((area / PATCHES).sqrt() as usize).max(LEAST_SIDE_PX);
+        let (across, down) = (size.width as usize / side, size.height as usize / side);
+        let measured = vec![None; across * down];
+        Self { depth, invalid, median_std, side, across, down, measured }
+    }
+
+    fn count(&self) -> usize {
+        self.measured.len()
+    }
+
+    fn middle(&self, cell: usize) -> Pixel {
+        let [x, y] = [cell % self.across, cell / self.across];
+        Pixel::new((x as f64 + 0.5) * self.side as f64, (y as f64 + 0.5) * self.side as f64)
+    }
+
+    fn at(&mut self, cell: usize) -> Option<PlanePatch> {
+        let measured = self.measured[cell].unwrap_or_else(|| self.measure(cell));
+        self.measured[cell] = Some(measured);
+        measured
+    }
+
+    fn measure(&self, cell: usize) -> Option<PlanePatch> {
+        let DepthInput { reading, lens, .. } = self.depth;
+        let corner = [cell % self.across, cell / self.across].map(|place| place * self.side);
+        let tile = measure(self.depth, self.invalid, corner, self.side)?;
+        // With quantization alone, a patch along a step of depth has no scatter, so only greater
+        // scatter is suspect.
+        let step = reading.inverse_depth_step(tile.inverse_depth);
+        (tile.reading_std <= MOST_SCATTER * self.median_std.hypot(0.5 * step)).then_some(())?;
+        Some(PlanePatch { tile, ray: ray(lens, tile.pixel)? })
+    }
+
+    /// The patches that continue those of `layer` and are not yet `taken`.
+    fn next_layer(
+        &mut self,
+        layer: &[usize],
+        taken: &mut [bool],
+        continues: impl Fn(&PlanePatch, &PlanePatch) -> bool,
+    ) -> Vec<usize> {
         let mut next = Vec::new();
-        for from in &layer {
-            let Some(near) = patch_at(*from) else { continue };
-            for cell in neighbors(*from, across, down) {
-                let Some(patch) = (if taken[cell] { None } else { patch_at(cell) }) else {
-                    continue;
-                };
-                if goes_on(&normal, &near, &patch, options.tolerance) {
+        for from in layer {
+            let Some(near) = self.at(*from) else { continue };
+            for cell in neighbors(*from, self.across, self.down) {
+                if !taken[cell] && self.at(cell).is_some_and(|patch| continues(&near, &patch)) {
                     taken[cell] = true;
                     next.push(cell);
                 }
             }
         }
-        for cell in &next {
-            if let Some(patch) = patch_at(*cell) {
-                plane.add(&patch);
-                if !inside(patch.tile.pixel) {
-                    grown.push(patch.tile);
-                }
-            }
-        }
-        layer = next;
+        next
     }
-    grown
 }
 
 /// Sums for a least squares plane: n of n · ray = 1/z.
@@ -136,7 +171,8 @@ fn goes_on(plane: &Vector3<f64>, near: &PlanePatch, next: &PlanePatch, tolerance
     let std = |patch: &PlanePatch| {
         patch.tile.reading_std * (1.0 / f64::from(patch.tile.count)).sqrt().max(LEAST_READING_STDS)
     };
-    let limit = STEP[0] * std(near).hypot(std(next)) + STEP[1] * next.tile.inverse_depth;
+    let limit =
+        MOST_STEP_STDS * std(near).hypot(std(next)) + MOST_STEP_PART * next.tile.inverse_depth;
     (off(next) - off(near)).abs() <= limit && off(next).abs() <= tolerance * next.tile.inverse_depth
 }
 
@@ -152,17 +188,16 @@ fn neighbors(cell: usize, across: usize, down: usize) -> impl Iterator<Item = us
 /// The patch with this top left corner; `None` where more than a quarter of its readings is
 /// missing.
 fn measure(
-    image: &DepthImage,
-    reading: DepthReading,
+    depth: DepthInput<'_>,
     invalid: Option<u16>,
     [left, top]: [usize; 2],
     side: usize,
 ) -> Option<DepthTile> {
     let mut samples = Vec::with_capacity(side * side);
     for y in top..top + side {
-        for (x, raw) in image.row(y).iter().enumerate().skip(left).take(side) {
+        for (x, raw) in depth.image.row(y).iter().enumerate().skip(left).take(side) {
             if Some(*raw) != invalid
-                && let Some(inverse) = reading.inverse_depth(f64::from(*raw))
+                && let Some(inverse) = depth.reading.inverse_depth(f64::from(*raw))
             {
                 samples.push([x as f64, y as f64, inverse]);
             }
@@ -191,7 +226,9 @@ mod tests {
     use super::*;
     use crate::detection::depth::board_plane::find_board_plane;
     use crate::geometry::camera_matrix::CameraMatrix;
+    use crate::geometry::depth_camera::DepthReading;
     use crate::geometry::pixel::ImageSize;
+    use crate::imaging::depth_image::DepthImage;
 
     const METRIC: DepthReading = DepthReading::Metric { unit_m: 0.0001 };
 
@@ -212,8 +249,9 @@ mod tests {
             .map(|(x, y)| Pixel::new(x, y))
             .to_vec();
         let options = PlaneOptions::default();
-        let board = find_board_plane(&image, (METRIC, &lens()), &outline, &options).unwrap();
-        grow_plane(&image, (METRIC, &lens()), (&board, &outline), &options)
+        let depth = DepthInput { image: &image, reading: METRIC, lens: &lens() };
+        let board = find_board_plane(depth, &outline, &options).unwrap();
+        grow_plane(depth, &board, &outline, &options)
     }
 
     fn tilted(x: f64, y: f64) -> f64 {
