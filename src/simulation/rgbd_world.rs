@@ -48,36 +48,11 @@ impl RgbdOptions {
         let mut rng = stream(color.seed, Purpose::Rig, number);
         let size = ImageSize::new(640, 480);
         let mut around = |middle: f64, spread: f64| middle + rng.random_range(-spread..spread);
-        let fx = around(575.0, 15.0);
-        let matrix = CameraMatrix {
-            fx,
-            fy: fx * around(1.0, 0.002),
-            cx: around(319.5, 5.0),
-            cy: around(239.5, 5.0),
-            skew: 0.0,
-        };
-        let brown =
-            Brown::from_coefficients([around(-0.05, 0.02), around(0.02, 0.01), 2e-4, -1e-4, 0.0]);
-        let lens = Lens { matrix, distortion: Distortion::Brown(brown) };
+        let lens = depth_lens(&mut around);
         let rotation = Vector3::new(around(0.0, 0.01), around(0.0, 0.015), around(0.0, 0.006));
         let translation =
             Vector3::new(around(0.025, 0.003), around(0.0, 0.001), around(0.001, 0.001));
-        let error = DepthError {
-            scale: [
-                around(0.006, 0.002),
-                around(0.0, 0.002),
-                around(0.0, 0.002),
-                around(0.004, 0.002),
-                0.0,
-            ],
-            offset: [
-                around(0.004, 0.002),
-                around(0.003, 0.001),
-                around(-0.002, 0.001),
-                around(0.006, 0.002),
-                0.004,
-            ],
-        };
+        let error = depth_error(&mut around);
         let depth = SimulatedDepthSensor {
             size,
             lens,
@@ -106,6 +81,42 @@ impl RgbdOptions {
             time_offset_s: 0.0,
             wall: [1.8, 0.06, -0.03],
         }
+    }
+}
+
+/// The lens of a depth camera of 640 × 480 pixels; `around` draws a number about a middle, within a
+/// spread.
+fn depth_lens(around: &mut impl FnMut(f64, f64) -> f64) -> Lens {
+    let fx = around(575.0, 15.0);
+    let matrix = CameraMatrix {
+        fx,
+        fy: fx * around(1.0, 0.002),
+        cx: around(319.5, 5.0),
+        cy: around(239.5, 5.0),
+        skew: 0.0,
+    };
+    let brown =
+        Brown::from_coefficients([around(-0.05, 0.02), around(0.02, 0.01), 2e-4, -1e-4, 0.0]);
+    Lens { matrix, distortion: Distortion::Brown(brown) }
+}
+
+/// The error of its depth, drawn likewise.
+fn depth_error(around: &mut impl FnMut(f64, f64) -> f64) -> DepthError {
+    DepthError {
+        scale: [
+            around(0.006, 0.002),
+            around(0.0, 0.002),
+            around(0.0, 0.002),
+            around(0.004, 0.002),
+            0.0,
+        ],
+        offset: [
+            around(0.004, 0.002),
+            around(0.003, 0.001),
+            around(-0.002, 0.001),
+            around(0.006, 0.002),
+            0.004,
+        ],
     }
 }
 

@@ -207,11 +207,19 @@ impl LevelSearch {
             }
         }
         let Some(bounds) = grid.bounds() else { return GridOutcome::Nothing };
-        let count = grid.members.len();
-        if count > evidence.largest {
-            evidence.largest = count;
+        if grid.members.len() > evidence.largest {
+            evidence.largest = grid.members.len();
             evidence.size = (longer(bounds), shorter(bounds));
         }
+        self.placed(scene, bounds)
+    }
+
+    /// What the verified grid, which lies within `bounds`, is of the board.
+    fn placed(&mut self, scene: &SearchScene<'_>, bounds: Bounds) -> GridOutcome {
+        let Self { growth, grid, .. } = self;
+        let (probe, board) = (scene.probe, scene.board);
+        let thresholds = &probe.thresholds.search;
+        let count = grid.members.len();
         let ends = seen_ends(probe, grid, bounds);
         if is_whole(grid, board)
             && ends.goes_on.contains(&true)
