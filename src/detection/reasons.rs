@@ -9,7 +9,7 @@ use crate::imaging::gray::GrayView;
 
 /// Blur is read from the 99.9th percentile of the gradient magnitude: edges are a few thousandths
 /// of an image that shows a board.
-const STEEPEST: usize = 1000;
+const STEEPEST_ONE_IN: usize = 1000;
 /// A corner closer to the image's border than this cannot be measured, in pixels.
 const BORDER_PX: f32 = 1.0;
 
@@ -102,7 +102,7 @@ fn sharpest_blur(image: GrayView<'_>, range: u8) -> f32 {
             counts[slope as usize] += 1;
         }
     }
-    let share = image.width() * image.height() / STEEPEST;
+    let share = image.width() * image.height() / STEEPEST_ONE_IN;
     let steepest = 255 - first_beyond(share, counts.iter().rev().copied());
     f32::from(range) / (0.5 * steepest.max(1) as f32 * 2.5066)
 }

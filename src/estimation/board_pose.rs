@@ -26,7 +26,7 @@ pub struct BoardPose {
 }
 
 /// Poses with a smaller difference in rotation, in radians, are the same.
-const SAME: f64 = 1e-4;
+const SAME_ROTATION_RAD: f64 = 1e-4;
 
 /// The poses that fit `view` under `lens`, best first: one, or for a distant flat board also the
 /// one with reversed tilt (D. Oberkampf, D. DeMenthon, L. Davis, *Iterative pose estimation using
@@ -51,8 +51,9 @@ pub fn board_poses(lens: &Lens, view: &BoardView) -> Result<Vec<BoardPose>, Esti
     let reversed = prepared.board_normal().map(|normal| tilt_reversed(&camera_from_center, normal));
     for camera_from_center in [Some(camera_from_center), reversed].into_iter().flatten() {
         let Some(refined) = refine(&prepared, lens, camera_from_center) else { continue };
-        let same =
-            |other: &BoardPose| other.camera_from_board.angle_to(&refined.camera_from_board) < SAME;
+        let same = |other: &BoardPose| {
+            other.camera_from_board.angle_to(&refined.camera_from_board) < SAME_ROTATION_RAD
+        };
         if !found.iter().any(same) {
             found.push(refined);
         }

@@ -122,7 +122,7 @@ fn of_lens_or_views(
 
 /// More equal weights lower the rms. So a second solve whose rms is this many times that of the
 /// first ended in another minimum.
-const ANOTHER_MINIMUM: f64 = 1.5;
+const ANOTHER_MINIMUM_RATIO: f64 = 1.5;
 
 /// Solves a second time, with the noise floor that the first solve shows.
 fn solve_twice(
@@ -137,7 +137,7 @@ fn solve_twice(
     let model = LensChoice::Model(first.lens.model());
     let again = CameraOptions { lens: model, start: Some(first.to_start()), ..options.clone() };
     match solve_weighted(problem, noise_floor_px, &again, Minima::Nearest) {
-        Ok((estimate, _)) if estimate.rms_px > ANOTHER_MINIMUM * first.rms_px => {
+        Ok((estimate, _)) if estimate.rms_px > ANOTHER_MINIMUM_RATIO * first.rms_px => {
             Ok((first, first_fit))
         }
         Ok((mut estimate, mut fit)) => {

@@ -28,11 +28,11 @@ const MIN_VIEWS: usize = 5;
 /// An excess of the squared steps within this many standard deviations is attributed to chance,
 /// which exceeds it seven times in a hundred. A lower limit would mix in the noisy scatter of the
 /// views; a higher one would understate the covariance.
-const CHANCE: f64 = 1.5;
+const CHANCE_STDS: f64 = 1.5;
 
 /// At this many standard deviations beyond chance, the clustered covariance and the model's have
 /// equal weight.
-const EVEN_ODDS: f64 = 2.0;
+const EVEN_ODDS_STDS: f64 = 2.0;
 
 /// The largest factor by which a view's step is corrected for its leverage. With a larger one there
 /// would be no estimate without the view.
@@ -264,11 +264,11 @@ fn combined(
     without: impl FnOnce() -> Option<Vec<DVector<f64>>>,
 ) -> Option<Clustered> {
     let Excess { part: excess, std } = Excess::of(unit, noise_square, influences)?;
-    if !(excess > CHANCE * std) {
+    if !(excess > CHANCE_STDS * std) {
         return None;
     }
-    let beyond = excess - CHANCE * std;
-    let weight = beyond / (beyond + EVEN_ODDS * std);
+    let beyond = excess - CHANCE_STDS * std;
+    let weight = beyond / (beyond + EVEN_ODDS_STDS * std);
     let factor = 1.0 + excess * weight;
     let by_views = jackknife_covariance(influences, &without()?, views);
     let covariance = unit * ((1.0 - weight) * factor * noise_square) + by_views * weight;

@@ -83,7 +83,7 @@ impl Prior {
                 hessian[(term * count + node, term * count + node)] += ridge;
             }
             if correction.quantity == CorrectedQuantity::InverseDepth && term >= LINEAR_TERMS {
-                let mean = (MEAN_CURVATURE * unit * count as f64).powi(-2);
+                let mean = (MEAN_CURVATURE_STD * unit * count as f64).powi(-2);
                 for a in 0..count {
                     for b in 0..count {
                         hessian[(term * count + a, term * count + b)] += mean;
@@ -118,13 +118,13 @@ impl Prior {
 /// its axis (1/(z + t) = 1/z − t/z² …). So the mean curvature has this prior standard deviation, as
 /// a part of 1/z at the middle of the depths seen; its variation over the image is free.
 const LINEAR_TERMS: usize = 2;
-const MEAN_CURVATURE: f64 = 0.002;
+const MEAN_CURVATURE_STD: f64 = 0.002;
 
 /// The number of folds: every fifth view is held out together.
 const FOLDS: usize = 5;
 
 /// The least relative improvement by which a correction is preferred to a simpler one.
-const PREFERENCE: f64 = 0.01;
+const LEAST_IMPROVEMENT: f64 = 0.01;
 
 /// Compares corrections on `views` (the tiles of each). `quantities` are those that make sense for
 /// the device. Once `interrupt` was requested no more are tried.
@@ -165,7 +165,7 @@ pub fn choose_correction(
         };
     let mut consider = |candidate: TriedCorrection, best: &mut TriedCorrection| {
         tried.push(candidate);
-        if candidate.held_out < best.held_out * (1.0 - PREFERENCE) {
+        if candidate.held_out < best.held_out * (1.0 - LEAST_IMPROVEMENT) {
             *best = candidate;
         }
     };

@@ -33,11 +33,11 @@ pub struct DltEstimate {
 }
 
 /// The least ratio of the points' thickness to their width; below it they count as coplanar.
-const THICKNESS: f64 = 1e-3;
+const LEAST_THICKNESS: f64 = 1e-3;
 
 /// The least second-smallest singular value, relative to the largest. Below it the null space has
 /// two dimensions: points and camera on a twisted cubic, or on a plane and a line (HZ 22.1).
-const ALONE: f64 = 1e-7;
+const LEAST_SECOND_SINGULAR_VALUE: f64 = 1e-7;
 
 /// The projection matrix of the points of one view, scaled as in [`DltEstimate::projection`].
 ///
@@ -53,7 +53,7 @@ pub fn projection_matrix(seen: &[Correspondence]) -> Result<Matrix3x4<f64>, Esti
         seen.iter().map(|c| c.point_in_board.coords - center).map(|d| d * d.transpose() / n).sum();
     let mut widths = scatter.symmetric_eigenvalues().map(|v| v.max(0.0).sqrt()).as_slice().to_vec();
     widths.sort_by(f64::total_cmp);
-    if !(widths[0] > THICKNESS * widths[2]) {
+    if !(widths[0] > LEAST_THICKNESS * widths[2]) {
         return Err(EstimationError::Coplanar);
     }
     let middle = seen.iter().map(|c| c.pixel.to_vector()).sum::<nalgebra::Vector2<f64>>() / n;
@@ -112,7 +112,7 @@ fn null_vector(mut rows: DMatrix<f64>) -> Option<Matrix3x4<f64>> {
     let mut order: Vec<usize> = (0..values.len()).collect();
     order.sort_by(|a, b| values[*a].total_cmp(&values[*b]));
     let (smallest, second, largest) = (order[0], values[order[1]], values[order[values.len() - 1]]);
-    (second > ALONE * largest)
+    (second > LEAST_SECOND_SINGULAR_VALUE * largest)
         .then(|| Matrix3x4::from_row_slice(v_t.row(smallest).transpose().as_slice()))
 }
 

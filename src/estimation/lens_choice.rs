@@ -33,7 +33,7 @@ pub struct LensTrial {
 /// The held-out error, relative to that of the best model, above which a model is excluded before
 /// the board's shape and motion are fitted: a larger lens absorbs a part of them at most. In 288
 /// simulated worlds the true model's error was up to 1.5 times that of the best.
-const HOPELESS: f64 = 3.0;
+const MOST_ERROR_RATIO: f64 = 3.0;
 
 /// Images are compared on this many columns of pixels.
 pub(crate) const COLUMNS: u32 = 12;
@@ -69,7 +69,7 @@ pub(crate) fn choose_lens(
         return Ok(ChosenLens { full, plain: chosen, compared: plain.trials });
     }
     let errors = plain.trials.iter().map(|trial| trial.held_out_rms_px);
-    let limit_px = HOPELESS * errors.fold(f64::INFINITY, f64::min);
+    let limit_px = MOST_ERROR_RATIO * errors.fold(f64::INFINITY, f64::min);
     let (hopeless, able): (Vec<LensTrial>, Vec<LensTrial>) =
         plain.trials.iter().partition(|trial| trial.held_out_rms_px > limit_px);
     fits.retain(|fit| able.iter().any(|trial| trial.model == fit.lens().model()));

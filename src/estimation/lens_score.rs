@@ -16,7 +16,7 @@ use crate::geometry::lens::LensModel;
 /// A larger model is fitted where the gain exceeds its expectation by this many standard deviations
 /// of chance. For 136 simulated lenses of the requested model gains went up to 17; for real lenses
 /// that the model does not fit they start at 76.
-const BEYOND_CHANCE: f64 = 8.0;
+const BEYOND_CHANCE_STDS: f64 = 8.0;
 
 /// With fewer views the test has too little power: halves of 13 photographs whose lens is too
 /// simple showed no gain beyond chance where fits of larger models predicted views better.
@@ -55,5 +55,5 @@ pub(crate) fn could_fit_better(
         fit.observations.iter().flat_map(|o| &o.used).filter(|used| **used).count() * 2;
     let gain = residuals as f64 * (own / larger.max(f64::MIN_POSITIVE)).ln();
     let more = layout.len.saturating_sub(fit.layout.len).max(1) as f64;
-    gain > more + BEYOND_CHANCE * (2.0 * more).sqrt()
+    gain > more + BEYOND_CHANCE_STDS * (2.0 * more).sqrt()
 }

@@ -24,20 +24,21 @@ const FOLDS: usize = 10;
 
 /// How much smaller the error on held-out views must be, in standard errors
 /// ([`gain_in_standard_errors`]).
-const HELD_OUT: f64 = 1.0;
+const LEAST_HELD_OUT_GAIN: f64 = 1.0;
 
 /// How far projections must move somewhere in the image, in the larger model's standard
 /// deviations there.
-const MOVED: f64 = 2.5;
+const MOVED_STDS: f64 = 2.5;
 
-/// Projections that move this far are decisive even where the views are too few for [`HELD_OUT`],
-/// as long as the larger model is better at all.
-const MOVED_FAR: f64 = 4.0;
+/// Projections that move this far are decisive even where the views are too few for
+/// [`LEAST_HELD_OUT_GAIN`], as long as the larger model is better at all.
+const MOVED_FAR_STDS: f64 = 4.0;
 
-/// As [`HELD_OUT`], for two models of which neither contains the other: their projections always
-/// differ beyond the views, so that only held-out views decide. Chosen for one chance in forty and
-/// not swept: with it 271 of 288 simulated worlds that were run once were given the true model.
-const BETTER_BEYOND_CHANCE: f64 = 2.0;
+/// As [`LEAST_HELD_OUT_GAIN`], for two models of which neither contains the other: their
+/// projections always differ beyond the views, so that only held-out views decide. Chosen for one
+/// chance in forty and not swept: with it 271 of 288 simulated worlds that were run once were given
+/// the true model.
+const LEAST_GAIN_BEYOND_CHANCE: f64 = 2.0;
 
 /// A model's fit with its errors on held-out views.
 pub(crate) struct Trial<'a> {
@@ -73,7 +74,7 @@ impl<'a> Trial<'a> {
     pub(crate) fn is_worth_more(&self, smaller: &Self) -> bool {
         let nested = self.fit.lens().model().holds(smaller.fit.lens().model());
         self.predicts_better_than(smaller)
-            && (nested || self.gain_over(smaller) > BETTER_BEYOND_CHANCE)
+            && (nested || self.gain_over(smaller) > LEAST_GAIN_BEYOND_CHANCE)
     }
 
     /// Bounds on the probability that it is preferable to `smaller`: that the held-out views and
@@ -84,11 +85,13 @@ impl<'a> Trial<'a> {
     pub(crate) fn probabilities_beside(&self, smaller: &Self) -> [f64; 2] {
         let gain = self.gain_over(smaller);
         if !self.fit.lens().model().holds(smaller.fit.lens().model()) {
-            return [BETTER_BEYOND_CHANCE, 0.0].map(|limit| normal_probability(gain - limit));
+            return [LEAST_GAIN_BEYOND_CHANCE, 0.0].map(|limit| normal_probability(gain - limit));
         }
         let moved = self.moves_projections_of(smaller.fit.lens()).unwrap_or(0.0);
-        let [better, clearly] = [0.0, HELD_OUT].map(|limit| normal_probability(gain - limit));
-        let [far, farther] = [MOVED, MOVED_FAR].map(|limit| normal_probability(moved - limit));
+        let [better, clearly] =
+            [0.0, LEAST_HELD_OUT_GAIN].map(|limit| normal_probability(gain - limit));
+        let [far, farther] =
+            [MOVED_STDS, MOVED_FAR_STDS].map(|limit| normal_probability(moved - limit));
         [clearly * far + (better - clearly) * farther; 2]
     }
 
@@ -96,7 +99,7 @@ impl<'a> Trial<'a> {
     pub(crate) fn predicts_better_than(&self, smaller: &Self) -> bool {
         let gain = self.gain_over(smaller);
         let moved = || self.moves_projections_of(smaller.fit.lens()).unwrap_or(0.0);
-        gain > 0.0 && moved() > if gain > HELD_OUT { MOVED } else { MOVED_FAR }
+        gain > 0.0 && moved() > if gain > LEAST_HELD_OUT_GAIN { MOVED_STDS } else { MOVED_FAR_STDS }
     }
 
     fn gain_over(&self, smaller: &Self) -> f64 {
@@ -124,7 +127,7 @@ pub(crate) fn may_be_worth_more(fit: &CameraFit, smaller: &Lens, grid: PixelGrid
     let moved = fit
         .lens_covariance()
         .and_then(|covariance| moves_projections(fit.lens(), &covariance, smaller, grid));
-    moved.is_some_and(|moved| moved > MOVED)
+    moved.is_some_and(|moved| moved > MOVED_STDS)
 }
 
 /// The largest distance of the projections of a lens from those of `other`, in its own standard
@@ -148,7 +151,7 @@ fn moves_projections(
 /// The mean over the views of the logarithm of the squared error of the smaller model over that of
 /// the larger one, in standard errors of that mean. The logarithm makes it relative to each view's
 /// noise, so that views with large errors do not decide alone. A single view has no variance: the
-/// result is [`HELD_OUT`] with the sign of its gain.
+/// result is [`LEAST_HELD_OUT_GAIN`] with the sign of its gain.
 fn gain_in_standard_errors(squares: &[[f64; 2]]) -> f64 {
     let logarithm = |square: f64| square.max(f64::MIN_POSITIVE).ln();
     let gains: Vec<f64> =
@@ -163,7 +166,7 @@ pub(crate) fn in_standard_errors(gains: &[f64]) -> f64 {
     let mean = gains.iter().sum::<f64>() / n;
     if gains.len() < 2 {
         // One view shows which is better, but not whether that is chance.
-        return mean.signum() * HELD_OUT;
+        return mean.signum() * LEAST_HELD_OUT_GAIN;
     }
     let variance = gains.iter().map(|gain| (gain - mean).powi(2)).sum::<f64>() / (n - 1.0);
     mean / (variance / n).sqrt().max(f64::MIN_POSITIVE)
@@ -222,8 +225,8 @@ mod tests {
 
     #[test]
     fn one_view_says_nothing_of_chance_and_exact_corners_stay_finite() {
-        assert_eq!(gain_in_standard_errors(&[[2.0, 1.0]]), HELD_OUT);
-        assert_eq!(gain_in_standard_errors(&[[1.0, 2.0]]), -HELD_OUT);
+        assert_eq!(gain_in_standard_errors(&[[2.0, 1.0]]), LEAST_HELD_OUT_GAIN);
+        assert_eq!(gain_in_standard_errors(&[[1.0, 2.0]]), -LEAST_HELD_OUT_GAIN);
         assert!(gain_in_standard_errors(&[[0.0, 0.0], [0.0, 0.0]]).is_finite());
     }
 }

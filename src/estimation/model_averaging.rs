@@ -16,7 +16,7 @@ use crate::geometry::lens::Lens;
 
 /// Upper bound of another model's odds: a model with higher odds was not chosen because it is
 /// uncertain outside the views.
-const EVEN: f64 = 1.0;
+const MOST_ODDS: f64 = 1.0;
 
 /// A model with lower odds is left out (Occam's window of D. Madigan, A. E. Raftery, *Model
 /// selection and accounting for model uncertainty in graphical models using Occam's window*, 1994).
@@ -45,7 +45,7 @@ pub(crate) fn between_models(models: &[ComparedModel<'_>], chosen: usize) -> Opt
             std::cmp::Ordering::Equal => 0.5,
             std::cmp::Ordering::Greater => other.trial.probabilities_beside(&own.trial)[1],
         };
-        let odds = (probability / (1.0 - probability).max(f64::MIN_POSITIVE)).min(EVEN);
+        let odds = (probability / (1.0 - probability).max(f64::MIN_POSITIVE)).min(MOST_ODDS);
         if odds < LEAST_ODDS { 0.0 } else { odds }
     };
     let odds: Vec<f64> = models.iter().enumerate().map(odds).collect();

@@ -15,14 +15,14 @@ use crate::estimation::camera_estimate::CameraEstimate;
 use crate::estimation::problem::{BoardView, CameraProblem, Correspondence};
 
 /// Weights within this relative difference of the best ones lose next to no precision.
-const NEAR: f64 = 0.2;
+const NEARLY_BEST_PART: f64 = 0.2;
 
 /// The largest number of corners in the sample.
-const CORNERS: usize = 1000;
+const MOST_CORNERS: usize = 1000;
 
 /// The range of common variances that are tried: the least in units of a sharp corner's own
 /// variance, the greatest in units of a blurred one's. Each is twice the one before.
-const TRIED: [f64; 2] = [0.125, 64.0];
+const VARIANCE_RANGE: [f64; 2] = [0.125, 64.0];
 
 /// The problem with `noise_floor_px` added to every corner's own standard deviation, in quadrature.
 pub(crate) fn with_noise_floor(
@@ -60,20 +60,20 @@ pub(crate) fn noise_floor_px_of(problem: &CameraProblem, estimate: &CameraEstima
         return None;
     }
     let seen: Vec<UsedCorner> =
-        seen.iter().step_by(seen.len().div_ceil(CORNERS)).copied().collect();
+        seen.iter().step_by(seen.len().div_ceil(MOST_CORNERS)).copied().collect();
     let mut variances: Vec<f64> = seen.iter().map(|seen| seen.variance).collect();
     let [sharp, blurred] = [0.05, 0.95].map(|part| {
         let at = ((variances.len() - 1) as f64 * part) as usize;
         *variances.select_nth_unstable_by(at, f64::total_cmp).1
     });
-    let doubled = |common: &f64| (*common < TRIED[1] * blurred).then_some(2.0 * common);
-    let least = (TRIED[0] * sharp).max(f64::MIN_POSITIVE);
+    let doubled = |common: &f64| (*common < VARIANCE_RANGE[1] * blurred).then_some(2.0 * common);
+    let least = (VARIANCE_RANGE[0] * sharp).max(f64::MIN_POSITIVE);
     let tried = std::iter::once(0.0).chain(std::iter::successors(Some(least), doubled));
     let likelihoods = tried.map(|common| (negative_log_likelihood(&seen, common), common));
     let best = likelihoods.min_by(|a, b| a.0.total_cmp(&b.0))?.1;
     // The ratio of a sharp corner's weight to a blurred one's, as a logarithm.
     let contrast = |common: f64| ((blurred + common) / (sharp + common)).ln();
-    ((contrast(best) - contrast(estimate.noise_floor_px.powi(2))).abs() > NEAR)
+    ((contrast(best) - contrast(estimate.noise_floor_px.powi(2))).abs() > NEARLY_BEST_PART)
         .then_some(best.sqrt())
 }
 

@@ -19,7 +19,7 @@ use crate::geometry::lens::Lens;
 /// The least and the largest distance from ξ = 0 at which a search on the other side starts. With
 /// 0.2 it starts beyond the ridge, which is flat near 0; beyond 0.6 few rays are in view. Chosen,
 /// not swept.
-const BEGINS: [f64; 2] = [0.2, 0.6];
+const XI_STARTS: [f64; 2] = [0.2, 0.6];
 
 /// A less probable lens is left out: this is three standard deviations. Chosen, not swept.
 const LEAST_PROBABILITY: f64 = 0.001;
@@ -74,7 +74,7 @@ fn beyond_the_ridge(fit: &CameraFit, prepared: &Prepared) -> Option<CameraFit> {
         return None;
     }
     let coefficient = lens.parameters()[at];
-    let [least, most] = BEGINS;
+    let [least, most] = XI_STARTS;
     let start = -coefficient.abs().clamp(least, most).copysign(coefficient);
     // The image's center is scaled by f/(1 + ξ).
     let scale = (1.0 + start) / (1.0 + coefficient);

@@ -20,7 +20,7 @@ const LEAST_BREADTH: f64 = 1e-4;
 /// uneven board, for a start. Swept with boards 150 px wide and corners known to 0.1 px: started as
 /// a plane, none of 200 poses is wrong up to 0.1 (32 at 0.2); started as points in space, none from
 /// 0.003 on (23 at 0.001, 84 at 1e-4).
-const FLATNESS: f64 = 1e-2;
+const LEAST_THICKNESS: f64 = 1e-2;
 
 /// The frame in which a set of points is flat.
 #[derive(Debug, Clone, Copy)]
@@ -74,7 +74,7 @@ impl Shape {
         if widths[1] < LEAST_BREADTH * widths[0] {
             return None;
         }
-        if widths[2] > FLATNESS * widths[0] {
+        if widths[2] > LEAST_THICKNESS * widths[0] {
             return (points.len() >= 6).then_some(Self::Solid { center, scale });
         }
         let (x, y) = (

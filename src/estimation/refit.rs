@@ -10,11 +10,11 @@ use crate::estimation::robust::Loss;
 
 /// A fit of some views ends within 0.03 standard deviations of its minimum, which is close enough
 /// for a comparison, or for halves.
-const COMPARED: Stop = Stop { max_steps: 50, decrease: 1e-3, part: 0.0, lambda: 0.0 };
+const COMPARED_STOP: Stop = Stop { max_steps: 50, decrease: 1e-3, part: 0.0, lambda: 0.0 };
 
 /// Where a step's cost equals the predicted one within this part, the problem is linear there, and
 /// the step leads to its minimum.
-const AS_PREDICTED: f64 = 0.01;
+const AS_PREDICTED_PART: f64 = 0.01;
 
 /// The fit of some of the frame sets, starting from the fit of all, with the separate equations
 /// `local`. Each frame set is given by the indices of its observations in `chosen`.
@@ -36,7 +36,7 @@ pub(crate) fn refit(
     let state = State { rig_from_board: frame_sets.iter().map(pose).collect(), ..all.clone() };
     let equations = assemble(local, fit.minimum_point(), chosen, parts(), frame_sets.len());
     let start = Minimum { state, equations, steps: 0 };
-    start.descend(&fit.layout, &observations, Loss::Squares, COMPARED)
+    start.descend(&fit.layout, &observations, Loss::Squares, COMPARED_STOP)
 }
 
 /// The sum of squared pixel errors of `sensor` in one frame set, at the best pose of the board for
@@ -62,7 +62,7 @@ pub(crate) fn squares_under<'a>(
     let cost: f64 = observations.iter().zip(&residuals).map(|(o, r)| used_squares(o, r)).sum();
     // A step that ends as predicted needs no second one.
     let predicted = minimum.equations.cost - step.predicted_decrease;
-    if !cost.is_finite() || (cost - predicted).abs() > AS_PREDICTED * cost {
+    if !cost.is_finite() || (cost - predicted).abs() > AS_PREDICTED_PART * cost {
         let stop = Stop { lambda: 0.0, decrease: 1e-4, ..Stop::default() };
         minimum = minimum.descend(&layout, &observations, loss, stop);
         residuals = minimum.equations.residuals;

@@ -11,17 +11,17 @@ use crate::estimation::view_fault::ViewFault;
 pub(crate) const LIMIT: f64 = 5.0;
 
 /// Where Huber's loss becomes linear, in standard deviations.
-const HUBER: f64 = 2.0;
+const HUBER_STDS: f64 = 2.0;
 
 /// With a smaller part of outliers, the result of plain least squares suffices to separate them.
-const FEW: f64 = 0.005;
+const FEW_OUTLIERS_PART: f64 = 0.005;
 
 /// Stops once the scale of the residuals is known to a few percent. There is little damping, since
 /// a start from the closed form is close, and more would cost an additional step.
-const ROUGH: Stop = Stop { max_steps: 50, decrease: 0.0, part: 0.02, lambda: 1e-4 };
+const ROUGH_STOP: Stop = Stop { max_steps: 50, decrease: 0.0, part: 0.02, lambda: 1e-4 };
 
 /// A view with a smaller part of inliers has wrong labels, rather than some wrong corners.
-const MIN_USED: f64 = 0.6;
+const MIN_USED_PART: f64 = 0.6;
 
 /// Residuals below this, in units of each corner's standard deviation, are rounding.
 pub(crate) const ROUNDING: f64 = 1e-8;
@@ -47,14 +47,15 @@ pub(crate) fn robust_fit(
         observations.iter().map(|observation| start.residuals(layout, observation)).collect();
     select(observations, &at_start, f64::INFINITY, faults);
     let mut scale = scale_of(observations, &at_start).max(ROUNDING);
-    let clean = part_beyond(LIMIT * scale, observations, &at_start) < FEW;
+    let clean = part_beyond(LIMIT * scale, observations, &at_start) < FEW_OUTLIERS_PART;
     let mut loss = if clean { Loss::Squares } else { huber(scale) };
     let minimum = Minimum::start(layout, start, observations, loss)?;
-    let mut minimum = minimum.descend(layout, observations, loss, ROUGH);
+    let mut minimum = minimum.descend(layout, observations, loss, ROUGH_STOP);
     for _ in 0..12 {
         let next = scale_of(observations, &minimum.equations.residuals).max(ROUNDING);
         let settled = next > 0.8 * scale
-            || part_beyond(LIMIT * next, observations, &minimum.equations.residuals) < FEW;
+            || part_beyond(LIMIT * next, observations, &minimum.equations.residuals)
+                < FEW_OUTLIERS_PART;
         scale = next;
         if settled {
             break;
@@ -65,7 +66,7 @@ pub(crate) fn robust_fit(
             layout,
             observations,
             loss,
-            ROUGH,
+            ROUGH_STOP,
         );
     }
     for round in 0..10 {
@@ -93,7 +94,7 @@ pub(crate) fn robust_fit(
 }
 
 fn huber(scale: f64) -> Loss {
-    Loss::Huber { scale: HUBER * scale }
+    Loss::Huber { scale: HUBER_STDS * scale }
 }
 
 /// Whether the residuals show that a rejected view is good after all: nine of ten corners are
@@ -138,7 +139,7 @@ pub(crate) fn select(
         let within = |[x, y]: &[f64; 2]| x.is_finite() && (*x * *x + *y * *y) <= limit * limit;
         let good = residuals.iter().filter(|r| within(r)).count();
         let points = residuals.len();
-        if fault.is_none() && (good as f64) < MIN_USED * points as f64 {
+        if fault.is_none() && (good as f64) < MIN_USED_PART * points as f64 {
             let mean_std = observation.inverse_std.iter().map(|inverse| 1.0 / inverse).sum::<f64>()
                 / points as f64;
             *fault = Some(ViewFault::Outliers {

@@ -27,7 +27,7 @@ const COLUMNS: u32 = 10;
 
 /// A second-order prediction is used where another lens raises the squares of a view by less than
 /// this part: the higher-order terms are then far smaller.
-const NEARBY: f64 = 0.2;
+const MOST_COST_RISE: f64 = 0.2;
 
 /// The estimated lens, with the covariance of all its parameters.
 #[derive(Debug, Clone, Copy)]
@@ -260,7 +260,7 @@ fn squares_nearby(under: &State, fit: &CameraFit, frame_set: &[usize]) -> Option
     let moved =
         DVector::from_iterator(free.len(), free.iter().map(|index| there[*index] - here[*index]));
     let raised = 2.0 * gradient.dot(&moved) + moved.dot(&(&information * &moved));
-    (raised.abs() < NEARBY * alone.cost)
+    (raised.abs() < MOST_COST_RISE * alone.cost)
         .then_some((alone.cost + raised) / (inverse_std * inverse_std))
 }
 

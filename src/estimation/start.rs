@@ -23,7 +23,7 @@ use crate::geometry::pose::Pose;
 /// A view is left out of the start where the rms residual of its own homography exceeds this part
 /// of its corners' rms distance from their mean. A strong fisheye has a tenth, labels out of order
 /// have more than half.
-const MISFIT: f64 = 0.25;
+const MOST_MISFIT: f64 = 0.25;
 
 /// Pixels of less roundness ([`PixelScatter::roundness`]) lie on a line, up to rounding.
 const LEAST_ROUNDNESS: f64 = 1e-6;
@@ -233,7 +233,7 @@ impl PreparedView {
         });
         let extent_px = scatter.rms_px;
         let rms_px = homography.map_or(extent_px, |fitted| fitted.rms_px.min(extent_px));
-        let fault = (rms_px > MISFIT * extent_px).then_some(ViewFault::NoPose { rms_px });
+        let fault = (rms_px > MOST_MISFIT * extent_px).then_some(ViewFault::NoPose { rms_px });
         Self { shape: Some(shape), homography, fault }
     }
 }

@@ -109,7 +109,7 @@ impl MedianAndWorst {
 }
 
 /// Pixels whose standard deviation exceeds the image's median by this factor get less weight.
-const FAR_WORSE: f64 = 4.0;
+const FAR_WORSE_RATIO: f64 = 4.0;
 
 /// The largest number of rounds. The weights converge in a few; most images need none.
 const MAX_ROUNDS: usize = 8;
@@ -308,12 +308,12 @@ fn compensation(
     Some(invert_motion(&normal, distance)? * coupling)
 }
 
-/// 1 for pixels whose standard deviation is at most [`FAR_WORSE`] times the median; above that,
-/// inverse to the variance.
+/// 1 for pixels whose standard deviation is at most [`FAR_WORSE_RATIO`] times the median; above
+/// that, inverse to the variance.
 fn weights_of(covariances: &[Option<Matrix2<f64>>]) -> Vec<f64> {
     let mut variances: Vec<f64> = covariances.iter().flatten().map(Matrix2::trace).collect();
     let Some(median) = median_of(&mut variances) else { return vec![0.0; covariances.len()] };
-    let limit = median * FAR_WORSE * FAR_WORSE;
+    let limit = median * FAR_WORSE_RATIO * FAR_WORSE_RATIO;
     let weight =
         |pixel: &Matrix2<f64>| if pixel.trace() > limit { limit / pixel.trace() } else { 1.0 };
     covariances.iter().map(|pixel| pixel.as_ref().map_or(0.0, weight)).collect()

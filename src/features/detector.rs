@@ -33,7 +33,7 @@ impl Default for FeatureOptions {
     }
 }
 
-/// Cells along the longer side of the image, over which keypoints are spread.
+/// Cells along the longer side of the image, over which keypoints are spread. Chosen, not swept.
 const CELLS: usize = 12;
 
 /// The features of `image`: extrema of the difference of Gaussians with RootSIFT descriptors. Empty

@@ -16,7 +16,7 @@ const EDGE_RATIO: f64 = 10.0;
 const MAX_STEPS: usize = 5;
 
 /// Extrema this close to the border lack a neighborhood.
-const BORDER: usize = 5;
+const BORDER_PX: usize = 5;
 
 /// An extremum in an octave's own pixels.
 #[derive(Debug, Clone, Copy)]
@@ -63,7 +63,7 @@ impl pulp::NullaryFnOnce for Scan<'_> {
         let mut found: Self::Output = Default::default();
         let mut rows: DifferenceRows =
             vec![std::array::from_fn(|_| vec![0.0; width + LANES]); self.planes.len() - 1];
-        for below in (BORDER - 1)..(height + 1).saturating_sub(BORDER) {
+        for below in (BORDER_PX - 1)..(height + 1).saturating_sub(BORDER_PX) {
             for (planes, rows) in self.planes.windows(2).zip(&mut rows) {
                 let pairs = planes[1].row(below).iter().zip(planes[0].row(below));
                 for (value, (wide, narrow)) in rows[below % 3].iter_mut().zip(pairs) {
@@ -71,11 +71,11 @@ impl pulp::NullaryFnOnce for Scan<'_> {
                 }
             }
             let y = below - 1;
-            if y < BORDER {
+            if y < BORDER_PX {
                 continue;
             }
             for (level, found) in (1..).zip(&mut found) {
-                scan_row(&rows, [y, level], width.saturating_sub(BORDER), found);
+                scan_row(&rows, [y, level], width.saturating_sub(BORDER_PX), found);
             }
         }
         found
@@ -92,7 +92,7 @@ fn scan_row(
     let of = |level: usize, y: usize, x: usize| -> &[f32; LANES] {
         rows[level][y % 3][x..].first_chunk().unwrap_or(&[0.0; LANES])
     };
-    for start in (BORDER..end).step_by(LANES) {
+    for start in (BORDER_PX..end).step_by(LANES) {
         // Most pixels are neither above nor below their nearest neighbors.
         let values = of(level, y, start);
         let nearest = [
@@ -185,8 +185,8 @@ fn refined(planes: &[Plane], at: [usize; 3]) -> Option<Extremum> {
             let to = at as i64 + by;
             (to >= low as i64 && to <= high as i64).then_some(to as usize)
         };
-        x = moved(x, step.x, BORDER, planes[0].width - 1 - BORDER)?;
-        y = moved(y, step.y, BORDER, planes[0].height - 1 - BORDER)?;
+        x = moved(x, step.x, BORDER_PX, planes[0].width - 1 - BORDER_PX)?;
+        y = moved(y, step.y, BORDER_PX, planes[0].height - 1 - BORDER_PX)?;
         level = moved(level, step.z, 1, SCALES)?;
     }
     None

@@ -15,7 +15,7 @@ pub struct Match {
 
 /// The largest ratio of the distance of the nearest to that of the second nearest (Lowe 2004,
 /// figure 11).
-const RATIO: f32 = 0.8;
+const MOST_DISTANCE_RATIO: f32 = 0.8;
 
 /// The least cosine between matching descriptors, whatever the ratio: a Euclidean distance of 0.7
 /// at unit length, as in COLMAP.
@@ -68,7 +68,8 @@ pub fn compare_descriptors(first: &DescriptorTable, second: &DescriptorTable) ->
     for (index, row) in nearest.rows.iter().enumerate().take(first.len) {
         let distance = |product: i32| (2.0 - 2.0 * product as f32 / (UNIT * UNIT)).max(0.0);
         let is_near = row.best as f32 >= LEAST_PRODUCT * UNIT * UNIT;
-        let is_distinct = distance(row.best) < RATIO * RATIO * distance(row.second);
+        let is_distinct =
+            distance(row.best) < MOST_DISTANCE_RATIO * MOST_DISTANCE_RATIO * distance(row.second);
         let is_mutual = nearest.column_rows.get(row.column) == Some(&(index as u32));
         if is_near && is_distinct && is_mutual {
             matches.push(Match { first: index, second: row.column });

@@ -12,7 +12,7 @@ const BINS: usize = 36;
 const WINDOW_SIGMA: f64 = 1.5;
 
 /// Peaks of at least this height relative to the highest are directions of their own.
-const PEAK: f32 = 0.8;
+const LEAST_PEAK: f32 = 0.8;
 
 /// The largest number of directions of one keypoint: a third one hardly ever matches.
 const MAX_DIRECTIONS: usize = 2;
@@ -117,7 +117,7 @@ pub(super) fn orientations(gradients: &Gradients, extremum: &Extremum) -> Vec<f6
         .filter_map(|k| {
             let (left, at, right) =
                 (histogram[(k + BINS - 1) % BINS], histogram[k], histogram[(k + 1) % BINS]);
-            let is_peak = at > left && at >= right && at >= PEAK * highest && highest > 0.0;
+            let is_peak = at > left && at >= right && at >= LEAST_PEAK * highest && highest > 0.0;
             let offset = f64::from(0.5 * (left - right) / (left - 2.0 * at + right));
             is_peak.then(|| (at, (k as f64 + offset) * std::f64::consts::TAU / BINS as f64))
         })

@@ -9,7 +9,7 @@ pub(super) struct Plane {
 }
 
 /// A Gaussian is cut off at this many standard deviations: 5e-4 of its weight lies beyond.
-const REACH: f64 = 3.5;
+const REACH_SIGMAS: f64 = 3.5;
 
 impl Plane {
     pub fn zeros(width: usize, height: usize) -> Self {
@@ -56,7 +56,7 @@ impl Plane {
 
 /// Half of a normalized Gaussian: the center, then the weights 1, 2, … pixels from it.
 fn kernel(sigma: f64) -> Vec<f32> {
-    let radius = (REACH * sigma).ceil().max(1.0) as usize;
+    let radius = (REACH_SIGMAS * sigma).ceil().max(1.0) as usize;
     let weight = |k: usize| (-0.5 * (k as f64 / sigma).powi(2)).exp();
     let sum: f64 = 1.0 + 2.0 * (1..=radius).map(weight).sum::<f64>();
     (0..=radius).map(|k| (weight(k) / sum) as f32).collect()

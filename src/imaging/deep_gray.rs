@@ -2,7 +2,7 @@
 
 /// Pixels, of all, that may be brighter than white: defects of a sensor that always read full
 /// scale. Chosen, not swept: 31 pixels of 640x480.
-const DEFECTS: f64 = 1e-4;
+const MOST_DEFECTIVE_PART: f64 = 1e-4;
 
 /// Sensors whose images come in 16 bits have at least this many.
 const FEWEST_BITS: u32 = 10;
@@ -25,7 +25,7 @@ pub fn bits_to_drop(values: impl Iterator<Item = u16>) -> u32 {
     if set.trailing_zeros() >= EMPTY_BITS {
         return 8;
     }
-    let allowed = (pixels_of_bits.iter().sum::<usize>() as f64 * DEFECTS) as usize;
+    let allowed = (pixels_of_bits.iter().sum::<usize>() as f64 * MOST_DEFECTIVE_PART) as usize;
     let mut brighter = 0;
     let bits = (FEWEST_BITS..=16).rev().find(|bits| {
         brighter += pixels_of_bits[*bits as usize];

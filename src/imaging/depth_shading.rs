@@ -8,11 +8,11 @@ use crate::imaging::draw::shade;
 /// The distances between which shades change, in meters: equal ratios are equal steps.
 const NEAR_M: f32 = 0.25;
 const FAR_M: f32 = 8.0;
-/// Depth jumps where it grows by this part from one pixel to the next.
-const JUMP: f32 = 0.04;
+/// Depth jumps where it grows by this part from one pixel to the next. Chosen, not swept.
+const JUMP_PART: f32 = 0.04;
 /// This many empty pixels are skipped to reach what lies behind an edge: a stereo camera measures
-/// nothing in its shadow.
-const GAP: usize = 64;
+/// nothing in its shadow. Chosen, not swept.
+const MOST_GAP_PX: usize = 64;
 
 /// An image of `size` from depths in meters, row by row; 0 for none.
 pub fn shaded(depths: &[f32], size: ImageSize) -> RgbImage {
@@ -33,7 +33,10 @@ pub fn edges(depths: &[f32], size: ImageSize) -> Vec<bool> {
     let (width, height) = (size.width as usize, size.height as usize);
     let at = |x: usize, y: usize| depths.get(y * width + x).copied().unwrap_or_default();
     let drops = |here: f32, ahead: &mut dyn Iterator<Item = f32>| {
-        ahead.take(GAP).find(|other| *other > 0.0).is_some_and(|other| other > here * (1.0 + JUMP))
+        ahead
+            .take(MOST_GAP_PX)
+            .find(|other| *other > 0.0)
+            .is_some_and(|other| other > here * (1.0 + JUMP_PART))
     };
     let is_edge = |x: usize, y: usize| {
         let here = at(x, y);

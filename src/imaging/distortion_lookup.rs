@@ -20,7 +20,7 @@ pub(super) struct DistortionLookup {
 /// Cells along each side.
 const CELLS: usize = 159;
 /// The least place in cells that [`cell`] splits; what is before it is beyond the image.
-const LEAST: f32 = 0.25;
+const LEAST_CELL: f32 = 0.25;
 
 impl DistortionLookup {
     /// Over what the lens sees of an image of `size`, and a little more.
@@ -58,8 +58,8 @@ impl DistortionLookup {
     #[inline]
     pub(crate) fn pixel(&self, x: f32, y: f32) -> [f32; 2] {
         let (u, v) = ((x - self.low[0]) * self.per_unit[0], (y - self.low[1]) * self.per_unit[1]);
-        const END: f32 = CELLS as f32;
-        if !(u >= LEAST && v >= LEAST && u < END && v < END) {
+        const END_CELL: f32 = CELLS as f32;
+        if !(u >= LEAST_CELL && v >= LEAST_CELL && u < END_CELL && v < END_CELL) {
             return [f32::NAN; 2];
         }
         let ((column, s), (row, t)) = (cell(u), cell(v));
@@ -71,9 +71,9 @@ impl DistortionLookup {
     }
 }
 
-/// The whole part of a `value` from [`LEAST`] to 2²² and the rest of it; at a whole number either
-/// the one before it and 1, or itself and 0. Half less than the value, added to 2²³, is rounded to
-/// a whole number, which costs less than a conversion that minds what does not fit.
+/// The whole part of a `value` from [`LEAST_CELL`] to 2²² and the rest of it; at a whole number
+/// either the one before it and 1, or itself and 0. Half less than the value, added to 2²³, is
+/// rounded to a whole number, which costs less than a conversion that minds what does not fit.
 #[inline]
 fn cell(value: f32) -> (usize, f32) {
     const BINARY_PLACES: u32 = 23;
@@ -114,7 +114,7 @@ mod tests {
     #[test]
     fn places_are_split_from_the_least_one_on() {
         for (value, expected) in [
-            (LEAST, (0, LEAST)),
+            (LEAST_CELL, (0, LEAST_CELL)),
             (0.75, (0, 0.75)),
             (1.25, (1, 0.25)),
             (158.5, (158, 0.5)),

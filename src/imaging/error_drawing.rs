@@ -13,7 +13,7 @@ const GAP: u32 = 16;
 /// Pixels a dot of the labels.
 const LETTERING: u32 = 2;
 /// A limit that is missed by this part is kept all the same.
-const ROUNDING: f64 = 1e-3;
+const LIMIT_ROUNDING_PART: f64 = 1e-3;
 const GROUND: Rgb<u8> = Rgb([200, 200, 200]);
 const INK: Rgb<u8> = Rgb([0, 0, 0]);
 const LABEL: LabelStyle = LabelStyle { ink: INK, plate: GROUND, scale: LETTERING };
@@ -21,7 +21,7 @@ const TOO_NEAR: [f32; 3] = [33.0, 102.0, 172.0];
 const RIGHT: [f32; 3] = [247.0, 247.0, 247.0];
 const TOO_FAR: [f32; 3] = [178.0, 24.0, 43.0];
 /// Colors reach so far that no more than this part of the errors before are beyond.
-const BEYOND: f64 = 0.05;
+const BEYOND_PART: f64 = 0.05;
 
 /// Draws what `before` and `after` (meters, row by row of an image of `size`; not finite for none)
 /// differ from 0 by: the part of the image that has errors, on one scale for both, with a label
@@ -88,11 +88,13 @@ fn limit_mm(errors: &[f32]) -> Option<f32> {
         .map(|error| 1e3 * f64::from(error.abs()))
         .collect();
     sizes.sort_unstable_by(f64::total_cmp);
-    let most = *sizes.get(((1.0 - BEYOND) * sizes.len() as f64) as usize)?;
+    let most = *sizes.get(((1.0 - BEYOND_PART) * sizes.len() as f64) as usize)?;
     let decade = 10_f64.powf(most.max(0.01).log10().floor());
     let steps = [1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0];
-    let round =
-        steps.into_iter().map(|step| step * decade).find(|limit| *limit >= (1.0 - ROUNDING) * most);
+    let round = steps
+        .into_iter()
+        .map(|step| step * decade)
+        .find(|limit| *limit >= (1.0 - LIMIT_ROUNDING_PART) * most);
     Some(round.unwrap_or(10.0 * decade) as f32)
 }
 

@@ -27,9 +27,9 @@ pub const ONE_SIGMA_PX: &str = "1 sigma px";
 const LONGER_SIDE: u32 = 800;
 /// The values of the darkest and the brightest color: the same for all drawings, so that they can
 /// be compared.
-const COLORED: [f64; 2] = [0.01, 2.0];
+const COLORED_RANGE: [f64; 2] = [0.01, 2.0];
 /// Where there is no value.
-const BLIND: Rgb<u8> = Rgb([128, 128, 128]);
+const NO_VALUE: Rgb<u8> = Rgb([128, 128, 128]);
 const CONTOUR: Rgb<u8> = Rgb([255, 255, 255]);
 const INK: Rgb<u8> = Rgb([0, 0, 0]);
 /// Steps of a decade that contours may lie at: the first with which enough of them cross the
@@ -43,7 +43,8 @@ const STEPS: [&[f64]; 4] = [
         4.5, 5.0, 5.5, 6.0,
     ],
 ];
-const ENOUGH: usize = 4;
+/// The number of contours that are enough. Chosen.
+const ENOUGH_CONTOURS: usize = 4;
 /// Pixels a dot of the labels.
 const LETTERING: u32 = 2;
 const LABEL: LabelStyle = LabelStyle { ink: INK, plate: CONTOUR, scale: LETTERING };
@@ -65,7 +66,7 @@ pub fn draw_heat_map(map: &GridValues<'_>, caption: &str) -> RgbImage {
     let band = |value: f64| levels.iter().filter(|level| **level <= value).count();
     let mut crossings: Vec<Vec<(u32, u32)>> = vec![Vec::new(); levels.len()];
     let mut image = RgbImage::from_fn(width, height, |x, y| {
-        let Some(here) = value(x, y) else { return BLIND };
+        let Some(here) = value(x, y) else { return NO_VALUE };
         let neighbors = [value(x + 1, y), value(x, y + 1)].into_iter().flatten();
         let Some(other) = neighbors.map(band).find(|other| *other != band(here)) else {
             return color(here);
@@ -118,7 +119,7 @@ fn levels(map: &GridValues<'_>) -> Vec<f64> {
     STEPS
         .into_iter()
         .map(crossing)
-        .find(|levels| levels.len() >= ENOUGH)
+        .find(|levels| levels.len() >= ENOUGH_CONTOURS)
         .unwrap_or_else(|| crossing(STEPS[3]))
 }
 
@@ -172,7 +173,7 @@ fn write_on_contour(
 
 /// Dark is small, bright is large.
 fn color(value: f64) -> Rgb<u8> {
-    let [dark, bright] = COLORED;
+    let [dark, bright] = COLORED_RANGE;
     draw::shade(((value / dark).max(1e-6).ln() / f64::ln(bright / dark)) as f32)
 }
 
@@ -229,7 +230,7 @@ mod tests {
 
     #[test]
     fn a_contour_below_the_caption_has_its_label_beside_it() {
-        let mut image = RgbImage::from_pixel(200, 100, BLIND);
+        let mut image = RgbImage::from_pixel(200, 100, NO_VALUE);
         let caption_size = label_size(ONE_SIGMA_PX, LETTERING);
         let [width, height] = label_size("0.05", LETTERING);
         let beside = (caption_size[0] + width / 2, 100 - height + height / 2);
@@ -251,7 +252,7 @@ mod tests {
             image
                 .enumerate_pixels()
                 .filter(|(_, y, _)| *y < 500)
-                .all(|(_, _, pixel)| *pixel == BLIND)
+                .all(|(_, _, pixel)| *pixel == NO_VALUE)
         );
     }
 }

@@ -48,6 +48,7 @@ impl HeldDepth for f32 {
     }
 }
 
+/// One more than the largest reading of 16 bits.
 const TOO_MANY_UNITS: f32 = 65536.0;
 
 /// In whole units, less one: so that none, 0 units, is beyond every other.

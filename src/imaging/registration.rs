@@ -41,10 +41,11 @@ pub struct DepthRegistration {
 }
 
 /// A reading covers this much of its pixel: a little more than all, so that noise in its neighbors
-/// leaves no cracks between.
-const FOOTPRINT: f64 = 1.25;
+/// leaves no cracks between. Chosen, not swept.
+const FOOTPRINT_PX: f64 = 1.25;
 /// A point is hidden from the color camera by what is nearer than this part of its distance.
-const HIDDEN: f32 = 1.03;
+/// Chosen, not swept.
+const HIDDEN_DISTANCE_RATIO: f32 = 1.03;
 
 impl DepthRegistration {
     /// For the images of `camera`, seen from a color camera with `color` and images of
@@ -74,7 +75,7 @@ impl DepthRegistration {
         Self {
             rays_in_color: [0, 1, 2].map(|axis| rays.iter().map(|ray| ray[axis]).collect()),
             conversion: DepthConversion::new(camera),
-            half: (0.5 * FOOTPRINT * color.matrix.fx / camera.lens.matrix.fx) as f32,
+            half: (0.5 * FOOTPRINT_PX * color.matrix.fx / camera.lens.matrix.fx) as f32,
             camera: camera.clone(),
             color: ColorView::new(color, color_size, color_from_depth),
         }
@@ -161,7 +162,7 @@ impl DepthRegistration {
         let seen = nearest
             .get((y * size.width + x) as usize)
             .filter(|_| x < size.width && y < size.height)?;
-        (point.z <= *seen * HIDDEN).then(|| color.get_pixel(x, y).0)
+        (point.z <= *seen * HIDDEN_DISTANCE_RATIO).then(|| color.get_pixel(x, y).0)
     }
 
     /// The nearest depth in the color camera's frame, pixel by pixel of its image, in meters; 0
@@ -380,7 +381,7 @@ mod tests {
             };
             let in_color = color_from_depth * point;
             let Some(at) = color.pixel_from_point(&in_color) else { continue };
-            let half = 0.5 * FOOTPRINT * color.matrix.fx / camera.lens.matrix.fx * point.z
+            let half = 0.5 * FOOTPRINT_PX * color.matrix.fx / camera.lens.matrix.fx * point.z
                 / in_color.z
                 + more;
             for (y, row) in nearest.chunks_exact_mut(COLOR_SIZE.width as usize).enumerate() {

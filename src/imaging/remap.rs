@@ -40,6 +40,7 @@ impl ChannelValue for u16 {
 
 /// Sub-pixel steps that a map resolves between two pixels.
 const STEPS: usize = 256;
+/// Stands for a pixel that shows no part of the source image.
 const NOWHERE: u32 = u32::MAX;
 
 /// Where in a source image each pixel of a result is seen.

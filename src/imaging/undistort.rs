@@ -83,6 +83,7 @@ fn flat_matrix(lens: &Lens, size: ImageSize, target: ImageSize, balance: f64) ->
 /// The largest field that is seen everywhere (by the image's sides), and the smallest that holds
 /// all that is seen.
 fn fields(lens: &Lens, size: ImageSize) -> (FieldOfView, FieldOfView) {
+    // Samples of each of the image's sides. Chosen.
     const STEPS: u32 = 32;
     let [right, bottom] = [f64::from(size.width) - 1.0, f64::from(size.height) - 1.0];
     let seen =

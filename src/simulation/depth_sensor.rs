@@ -179,6 +179,7 @@ impl DepthRenderer {
     /// Where matching fails: at edges of objects, where the second camera's view is occluded, and
     /// to the left of its view.
     fn unmatched(&self, truth: &TrueDepth) -> Vec<bool> {
+        // Half the side of the window that is matched, in pixels: of 5 × 5 pixels.
         const WINDOW: usize = 2;
         let width = self.sensor.size.width as usize;
         let height = self.sensor.size.height as usize;

@@ -78,6 +78,7 @@ struct ToneCurve {
 }
 
 impl ToneCurve {
+    // Sixteen to a gray level: interpolated between, the curve is exact to far less than one.
     const STEPS: usize = 4096;
 
     fn new(gamma: f64) -> Self {

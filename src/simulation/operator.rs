@@ -113,8 +113,9 @@ struct Middle {
     place: Vector3<f64>,
 }
 
-/// The largest tilt at which the person holds a board without a request, in radians.
-const OWN_TILT: f64 = 0.6;
+/// The largest tilt at which the person holds a board without a request, in radians. Chosen, not
+/// swept.
+const OWN_TILT_RAD: f64 = 0.6;
 
 impl Operator {
     /// The person of `seed` with `board`, in front of a camera whose image spans `half_view` (the
@@ -241,7 +242,7 @@ impl Operator {
         let distance = self.distance_m * uniform(0.9, 2.2);
         let (across, down) = (uniform(-0.8, 0.8), uniform(-0.8, 0.8));
         let (tilt, azimuth, roll) =
-            (uniform(0.0, OWN_TILT), uniform(0.0, TAU), uniform(-0.35, 0.35));
+            (uniform(0.0, OWN_TILT_RAD), uniform(0.0, TAU), uniform(-0.35, 0.35));
         self.middle_at([across, down], distance, [tilt * azimuth.cos(), tilt * azimuth.sin(), roll])
     }
 

@@ -120,6 +120,7 @@ impl Renderer {
     /// The padded pixels that the board may cover: all of them if part of its edge is outside the
     /// lens's view.
     fn board_area(&self, camera_from_board: &Pose) -> Area {
+        // Samples of each of the board's edges.
         const STEPS: usize = 24;
         let [left, right, top, bottom] = self.pattern.edges_in_squares();
         let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);

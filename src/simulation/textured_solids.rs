@@ -83,14 +83,14 @@ impl FaceHit {
 
 /// The frequency of the coarsest noise of a texture, in waves per length, and the factor from each
 /// frequency to the next.
-const COARSEST: f64 = 1.3;
-const FINER: f64 = 2.1;
+const COARSEST_WAVES: f64 = 1.3;
+const OCTAVE_FACTOR: f64 = 2.1;
 const OCTAVES: u64 = 8;
 
 /// Noise of several frequencies. Details finer than a pixel are left out, because a pixel averages
 /// over its area.
 fn texture([u, v]: [f64; 2], salt: u64, footprint: f64) -> f64 {
-    let (mut light, mut frequency) = (0.5, COARSEST);
+    let (mut light, mut frequency) = (0.5, COARSEST_WAVES);
     for octave in 0..OCTAVES {
         let seen = (1.0 - 2.0 * frequency * footprint).clamp(0.0, 1.0);
         if seen <= 0.0 {
@@ -98,7 +98,7 @@ fn texture([u, v]: [f64; 2], salt: u64, footprint: f64) -> f64 {
         }
         light +=
             0.42 * seen * (smooth_noise(u * frequency, v * frequency, salt * 16 + octave) - 0.5);
-        frequency *= FINER;
+        frequency *= OCTAVE_FACTOR;
     }
     light.clamp(0.02, 0.98)
 }

@@ -89,7 +89,7 @@ pub struct TexturedWorld {
 }
 
 /// The light of rays that meet no solid: a uniform sky.
-const SKY: f64 = 0.85;
+const SKY_LIGHT: f64 = 0.85;
 
 impl TexturedWorld {
     /// The world that `options` describe.
@@ -134,7 +134,7 @@ impl TexturedWorld {
             for [s, t] in [[0.25, 0.25], [0.75, 0.75]] {
                 let ray = upper[0].lerp(&upper[1], s).lerp(&lower[0].lerp(&lower[1], s), t);
                 let face = nearest_face(&solids, &origin, &(rotation * ray));
-                sum += face.map_or(SKY, |face| face.light(footprint * face.along));
+                sum += face.map_or(SKY_LIGHT, |face| face.light(footprint * face.along));
             }
             *light = (0.5 * sum) as f32;
         }

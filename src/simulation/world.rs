@@ -242,6 +242,8 @@ pub(super) fn exposed(
     start_s: f64,
     mut camera_from_board: impl FnMut(f64) -> Pose,
 ) -> Exposure {
+    // The largest motion from one pose of an exposure to the next, below a pixel, and the most
+    // poses, which bound the time. Chosen.
     const STEP_PX: f64 = 0.6;
     const MOST_STEPS: f64 = 40.0;
     let (middle_from_board, motion_px) = motion(renderer, start_s, &mut camera_from_board);

@@ -10,7 +10,7 @@ use crate::detection::grid::perspective::LEAST_W;
 use crate::detection::vec2::Vec2;
 
 /// Radii around a place within which crossings are gathered for a local homography, in grid lines,
-/// tried in this order.
+/// tried in this order. Chosen, not swept.
 const REACHES: [i32; 3] = [2, 4, FARTHEST];
 /// The largest of them: crossings farther away do not affect a chart.
 pub(super) const FARTHEST: i32 = 9;
@@ -182,6 +182,7 @@ impl Chart {
 
     /// One unit of the lattice along each axis, at the place (x, y), in pixels.
     pub(super) fn steps(&self, x: f32, y: f32) -> Option<[Vec2; 2]> {
+        // Half the interval over which the slope is taken, in units of the lattice.
         const HALF: f32 = 0.1;
         let step = |dx: f32, dy: f32| {
             Some((self.at(x + dx, y + dy)? - self.at(x - dx, y - dy)?) / (2.0 * HALF))

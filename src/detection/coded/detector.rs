@@ -28,7 +28,8 @@ use crate::detection::vec2::Vec2;
 use crate::geometry::target::Target;
 use crate::imaging::gray::GrayView;
 
-/// How often missing corners are searched for: each time farther from those that are known.
+/// How often missing corners are searched for: each time farther from those that are known. Chosen,
+/// not swept.
 const COMPLETIONS: usize = 8;
 
 /// Finds one target with markers in images. Its buffers are kept from image to image.

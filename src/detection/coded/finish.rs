@@ -19,7 +19,7 @@ use crate::imaging::gray::GrayView;
 
 /// The fraction of a limit within which a crossing passes however intervals are measured: intervals
 /// between its neighbors and those of a homography differ by less than a factor of two.
-const WELL_WITHIN: f32 = 0.5;
+const WELL_WITHIN_PART: f32 = 0.5;
 
 impl TargetDetector {
     /// The detection of the board that lies in `grid` as in `label`, found on `level`.
@@ -163,7 +163,7 @@ impl TargetDetector {
     /// the continued lines next to it needs no homography, which takes ten times as long.
     fn hold_on_lines(&mut self, at: (i32, i32), most: f32) -> HeldCrossing {
         let is_suspect = self.grid.get(at.0, at.1).is_none_or(|node| node.tight);
-        let is_near = |off: f32| off <= WELL_WITHIN * most;
+        let is_near = |off: f32| off <= WELL_WITHIN_PART * most;
         if !is_suspect && off_lines(&self.sheets, &self.grid, at).is_some_and(is_near) {
             return HeldCrossing { reach: CURVED, is_current: true, ..HeldCrossing::unknown(at) };
         }

@@ -15,10 +15,10 @@ use crate::imaging::gray::GrayView;
 
 /// How far around a lattice candidates count as its continuation, relative to its own extent:
 /// beyond that, the distortion moves its lines away from their prediction. Chosen.
-const AROUND: f32 = 2.0;
+const AROUND_EXTENTS: f32 = 2.0;
 /// The largest distance of such a candidate from a crossing of the lines, in narrow intervals: an
 /// unrelated position lies so near to one in 4 of 25 cases. Chosen.
-const MOST_OFF: f32 = 0.2;
+const MOST_OFF_INTERVALS: f32 = 0.2;
 
 impl TargetDetector {
     /// Grows the lattice in `grid` until it has more than `most` crossings.
@@ -50,7 +50,7 @@ impl TargetDetector {
         let Some(lattice_from_image) = chart.matrix().try_inverse() else { return };
         let [left, right, top, bottom] =
             [bounds.i.0, bounds.i.1, bounds.j.0, bounds.j.1].map(|k| sheets.line(k));
-        let extent = AROUND * (right - left).max(bottom - top);
+        let extent = AROUND_EXTENTS * (right - left).max(bottom - top);
         let narrow = sheets.widths[0].min(sheets.widths[1]);
         for (candidate, used) in candidates.found.iter().zip(used) {
             let pixel = candidate.pixel;
@@ -68,7 +68,8 @@ impl TargetDetector {
                 continue;
             };
             let cell: [Vec2; 2] = steps.map(|step| step * narrow);
-            let is_on = in_steps(pixel - expected, cell).is_some_and(|off| off.amax() <= MOST_OFF);
+            let is_on = in_steps(pixel - expected, cell)
+                .is_some_and(|off| off.amax() <= MOST_OFF_INTERVALS);
             let edges = edges_along(steps, grid.polarity(i, j));
             *used = is_on && candidate.has_edges(edges, thresholds.lattice.most_rotation);
         }

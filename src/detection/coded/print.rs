@@ -17,8 +17,8 @@ const NO_WIDTH: f64 = 1e-6;
 
 /// The distance in intervals beyond which no print is rendered, and half the width of the widest
 /// sample, in intervals: near the horizon of a chart both are unbounded.
-const FAR: f64 = 1000.0;
-const WIDE: f64 = 2.0;
+const FARTHEST_INTERVALS: f64 = 1000.0;
+const WIDEST_HALF_INTERVALS: f64 = 2.0;
 
 /// A board whose label is known.
 pub(super) struct LabeledPrint<'a> {
@@ -121,7 +121,8 @@ impl<'a> LabeledPrint<'a> {
 
 /// Whether a rectangle is near the horizon of its chart.
 fn is_far([x, y]: [f64; 2], [half_x, half_y]: [f64; 2]) -> bool {
-    let is_near = |at: f64, half: f64| at.abs() < FAR && half < WIDE;
+    let is_near =
+        |at: f64, half: f64| at.abs() < FARTHEST_INTERVALS && half < WIDEST_HALF_INTERVALS;
     !(is_near(x, half_x) && is_near(y, half_y))
 }
 

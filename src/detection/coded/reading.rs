@@ -16,7 +16,7 @@ const WELL_KNOWN: RangeInclusive<usize> = 3..=4;
 const BARELY_KNOWN: RangeInclusive<usize> = 2..=4;
 /// The same for the cells around a lattice.
 const AROUND: RangeInclusive<usize> = 2..=2;
-/// With fewer cells than this, cells with fewer known corners are read as well.
+/// With fewer cells than this, cells with fewer known corners are read as well. Chosen, not swept.
 const FEW_CELLS: usize = 3;
 
 /// Cells of a lattice, to be read as those of a sheet.

@@ -25,7 +25,7 @@ use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
 
 /// Reference corners are the nearest ones to this many points along each side of the visible part
-/// of the board.
+/// of the board. Chosen, not swept.
 const REFERENCES_A_SIDE: usize = 3;
 
 /// Of the images of a stream without a target, one in this many is searched at all scales: that

@@ -74,7 +74,8 @@ pub enum NoPlane {
 }
 
 /// Readings of a patch that are farther from its plane, in standard deviations, are trimmed.
-const TRIM: f64 = 3.5;
+/// Chosen, not swept.
+const TRIM_STDS: f64 = 3.5;
 
 /// Measures the surface inside `outline`, a closed polygon in pixels of the depth image.
 ///
@@ -216,7 +217,7 @@ pub(super) fn fit_tile(samples: &mut Vec<[f64; 3]>) -> Option<DepthTile> {
             count: samples.len() as u32,
         });
         let before = samples.len();
-        samples.retain(|s| rest(s).abs() <= TRIM * std);
+        samples.retain(|s| rest(s).abs() <= TRIM_STDS * std);
         if samples.len() == before {
             break;
         }

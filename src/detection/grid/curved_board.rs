@@ -10,12 +10,12 @@ use nalgebra::{SMatrix, SVector};
 use crate::detection::grid::Grid;
 use crate::detection::vec2::Vec2;
 
-/// Corners up to this many lines away are used, on each side.
-const REACH: i32 = 2;
+/// Corners up to this many lines away are used, on each side. Chosen, not swept.
+const REACH_LINES: i32 = 2;
 /// Terms of the surface: 1, i, j, i², ij, j².
 const TERMS: usize = 6;
 /// Minimum corners of a fit.
-const FEWEST: usize = TERMS + 2;
+const FEWEST_CORNERS: usize = TERMS + 2;
 
 /// The predicted position of the corner (i, j) of `grid` without its own measurement; `None` if
 /// there are too few corners around it.
@@ -23,7 +23,9 @@ pub(in crate::detection) fn predict_on_curve(grid: &Grid, i: i32, j: i32) -> Opt
     let mut normal = SMatrix::<f32, TERMS, TERMS>::zeros();
     let mut right = SMatrix::<f32, TERMS, 2>::zeros();
     let (mut count, mut origin) = (0, None);
-    for (dj, di) in (-REACH..=REACH).flat_map(|dj| (-REACH..=REACH).map(move |di| (dj, di))) {
+    for (dj, di) in (-REACH_LINES..=REACH_LINES)
+        .flat_map(|dj| (-REACH_LINES..=REACH_LINES).map(move |di| (dj, di)))
+    {
         let Some(p) = grid.pixel(i + di, j + dj).filter(|_| (di, dj) != (0, 0)) else { continue };
         let away = p - *origin.get_or_insert(p);
         let (x, y) = (di as f32, dj as f32);
@@ -34,7 +36,7 @@ pub(in crate::detection) fn predict_on_curve(grid: &Grid, i: i32, j: i32) -> Opt
         right += row * away.transpose() * weight;
         count += 1;
     }
-    let origin = origin.filter(|_| count >= FEWEST)?;
+    let origin = origin.filter(|_| count >= FEWEST_CORNERS)?;
     let least = 1e-3 * normal.diagonal().min();
     let surface = normal
         .cholesky()

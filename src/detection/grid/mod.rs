@@ -11,7 +11,7 @@ use crate::detection::vec2::Vec2;
 
 /// The greatest distance of a grid's corners from its first one, in indices.
 pub(in crate::detection) const LARGEST_RADIUS: i32 = 104;
-/// How many searches at one position may fail.
+/// How many searches at one position may fail. Chosen, not swept.
 const MOST_ATTEMPTS: u8 = 4;
 
 /// Steps along a line from which the step at a position is predicted: the distance, which parallel

@@ -45,7 +45,7 @@ const LEAST_SPREAD: f32 = 18.0;
 /// not swept.
 const LIGHT_PRIOR: f32 = 0.3;
 /// Relative margin between a window and the image border, for rounding.
-const TOUCHING: f32 = 1e-4;
+const BORDER_MARGIN: f32 = 1e-4;
 
 impl CrossWindow {
     /// A window on a board whose neighboring corners lie at ±`u` and ±`v`: `fraction` of the way
@@ -65,7 +65,7 @@ impl CrossWindow {
     /// left.
     pub(in crate::detection) fn inside(mut self, image: GrayView<'_>, least: f32) -> Option<Self> {
         let (half, room) = (self.half(), self.room(image));
-        let fit = (room.x / half.x.max(1e-6)).min(room.y / half.y.max(1e-6)) - TOUCHING;
+        let fit = (room.x / half.x.max(1e-6)).min(room.y / half.y.max(1e-6)) - BORDER_MARGIN;
         if fit < least || !fit.is_finite() {
             return None;
         }
@@ -92,7 +92,7 @@ impl CrossWindow {
     /// Whether all of it lies inside `image`.
     fn is_inside(&self, image: GrayView<'_>) -> bool {
         let (half, room) = (self.half(), self.room(image));
-        room.x >= half.x * (1.0 + TOUCHING) && room.y >= half.y * (1.0 + TOUCHING)
+        room.x >= half.x * (1.0 + BORDER_MARGIN) && room.y >= half.y * (1.0 + BORDER_MARGIN)
     }
 
     /// Measures the window once. `None` if it leaves the image or is flat.

@@ -11,7 +11,7 @@ use crate::imaging::gray::GrayView;
 
 /// Where an edge is sampled between its two corners: in the middle, and as far from each end as the
 /// blur of a corner that is still found reaches.
-const ALONG: [f32; 3] = [0.28, 0.5, 0.72];
+const ALONG_PARTS: [f32; 3] = [0.28, 0.5, 0.72];
 
 /// Brightness at `p`; `None` outside the image.
 #[inline]
@@ -35,7 +35,7 @@ pub(in crate::detection) fn differences(
 ) -> Option<[f32; 3]> {
     let aside = aside * probe.thresholds.edges.aside;
     let mut differences = [0.0; 3];
-    for (difference, part) in differences.iter_mut().zip(ALONG) {
+    for (difference, part) in differences.iter_mut().zip(ALONG_PARTS) {
         let on = ends[0] + (ends[1] - ends[0]) * part;
         *difference = brightness(probe.image, on + aside)? - brightness(probe.image, on - aside)?;
     }

@@ -21,7 +21,7 @@ use crate::imaging::gray::GrayView;
 const BLUR_ROUNDS: usize = 2;
 /// The rounds end once the mean square of the corners' moves is below this fraction of their
 /// variance: a move of a tenth of a standard deviation adds half a percent to the standard error.
-const RESTS: f64 = 0.01;
+const RESTING_VARIANCE_PART: f64 = 0.01;
 
 /// An alignment in its window.
 #[derive(Debug, Clone, Copy)]
@@ -112,7 +112,7 @@ impl Refiner {
             moves += refined.pixel.distance_px(*placed).powi(2);
             variances += 2.0 * refined.std_px.powi(2);
         }
-        moves < RESTS * variances
+        moves < RESTING_VARIANCE_PART * variances
     }
 
     /// Updates what is known of the corners from alignments that fit as well as the others.

@@ -18,8 +18,8 @@ use crate::imaging::gray::GrayView;
 /// a step is below a hundredth of a sample: convergence is quadratic, so the next step would be its
 /// square.
 const ITERATIONS: usize = 5;
-const PATIENT: usize = 2;
-const ENOUGH: f64 = 0.01;
+const PATIENT_ITERATIONS: usize = 2;
+const ENOUGH_STEP: f64 = 0.01;
 /// The darkest gray level that is raised to a power: one step of eight bits. At 0 the power's slope
 /// is 0, and so would be the noise in light.
 const DARKEST: f64 = 1.0;
@@ -144,14 +144,14 @@ impl AlignedSamples {
     pub fn align(&self, light: &PrintLight) -> Option<Alignment> {
         let mut found: Option<(Vector4<f64>, Alignment)> = None;
         for iteration in 0..ITERATIONS {
-            let part = light.tolerance.1[usize::from(iteration >= PATIENT)];
+            let part = light.tolerance.1[usize::from(iteration >= PATIENT_ITERATIONS)];
             let before = found.as_ref().map(|(unknowns, it)| (unknowns, it.grays));
             let (unknowns, aligned) = self.step(light, part, before)?;
             let last = found.map_or([0.0; 2], |(_, it)| it.offset);
             let moved = [aligned.offset[0] - last[0], aligned.offset[1] - last[1]];
             let last_step = (moved[0] * moved[0] + moved[1] * moved[1]).sqrt();
             found = Some((unknowns, Alignment { last_step, ..aligned }));
-            if iteration >= PATIENT && last_step < ENOUGH {
+            if iteration >= PATIENT_ITERATIONS && last_step < ENOUGH_STEP {
                 break;
             }
         }

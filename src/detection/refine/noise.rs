@@ -10,7 +10,7 @@ pub(super) struct PooledNoise {
 }
 
 /// Variance of rounding to whole gray levels.
-const ROUNDING: f64 = 1.0 / 12.0;
+const ROUNDING_VARIANCE: f64 = 1.0 / 12.0;
 
 impl PooledNoise {
     /// Forgets all corners.
@@ -34,6 +34,6 @@ impl PooledNoise {
     pub fn of_pixels(&mut self) -> [f64; 2] {
         let [black, white] = self.variances.each_mut().map(|variances| median_of(variances));
         [black.or(white), white.or(black)]
-            .map(|variance| variance.unwrap_or(4.0).max(ROUNDING).sqrt())
+            .map(|variance| variance.unwrap_or(4.0).max(ROUNDING_VARIANCE).sqrt())
     }
 }

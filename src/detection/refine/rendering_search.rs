@@ -20,11 +20,11 @@ const NO_PRINT: f64 = 1e6;
 const MOST_OCTAVES: usize = 5;
 /// The fraction of the corners that fits of edges must refine to be trusted. Swept: AprilGrids in
 /// motion have 0.012 px from 0.75 to 0.9, and 0.030 px at 0.5.
-const REFINED: f64 = 0.75;
+const LEAST_REFINED_SHARE: f64 = 0.75;
 /// The differences of the logarithms of width and power over which slopes of the misfit are taken.
 /// Swept: ChArUco boards in wide blur have 0.014 px, 0.017 px with half of them and 0.021 px with
 /// twice.
-const STEPS: [f64; 2] = [0.03, 0.06];
+const LOG_STEPS: [f64; 2] = [0.03, 0.06];
 
 impl Refiner {
     /// Blur and gamma from the fits of edges, if these refined too few of the corners and the blur
@@ -34,7 +34,7 @@ impl Refiner {
         refined: &[Option<RefinedCorner>],
     ) -> Option<PrintRendering> {
         let count = refined.iter().flatten().count() as f64;
-        let are_few = count < REFINED * refined.len() as f64;
+        let are_few = count < LEAST_REFINED_SHARE * refined.len() as f64;
         let least_px = self.thresholds.least_motion_px;
         self.median_rendering().filter(|it| are_few && it.blur.width_px() >= least_px)
     }
@@ -152,7 +152,7 @@ impl ComparedCorners<'_> {
             blur: start.blur.scaled(width.exp()),
             power: (start.power * power.exp()).clamp(POWERS[0], POWERS[1]),
         };
-        let (change, misfit) = least_near(STEPS, &mut |change| self.misfit(changed(change)));
+        let (change, misfit) = least_near(LOG_STEPS, &mut |change| self.misfit(changed(change)));
         (changed(change), misfit)
     }
 

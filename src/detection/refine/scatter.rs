@@ -11,10 +11,10 @@ pub(super) struct Scatter {
 /// Minimum edges of an estimate.
 const FEWEST_EDGES: usize = 12;
 /// The fraction of smallest ratios that are averaged: occluders may disturb the others.
-const TRUSTED: f64 = 0.9;
+const AVERAGED_SHARE: f64 = 0.9;
 /// The mean of that fraction of the squares of normally distributed numbers: 1 − 2·z·φ(z)/0.9 with
 /// z = 1.645.
-const TRUSTED_MEAN: f64 = 0.623;
+const AVERAGED_MEAN_SQUARE: f64 = 0.623;
 
 impl Scatter {
     /// Forgets all edges.
@@ -36,13 +36,13 @@ impl Scatter {
             let predicted = of_corners.get(*corner).copied().flatten().unwrap_or(1.0);
             *ratio /= predicted * predicted;
         }
-        let trusted = (TRUSTED * self.ratios.len() as f64).round() as usize;
+        let trusted = (AVERAGED_SHARE * self.ratios.len() as f64).round() as usize;
         if self.ratios.len() < FEWEST_EDGES {
             return 1.0;
         }
         self.ratios.sort_unstable_by(|(_, a), (_, b)| a.total_cmp(b));
         let mean =
             self.ratios[..trusted].iter().map(|(_, ratio)| ratio).sum::<f64>() / trusted as f64;
-        (mean / TRUSTED_MEAN).sqrt().clamp(0.1, 10.0)
+        (mean / AVERAGED_MEAN_SQUARE).sqrt().clamp(0.1, 10.0)
     }
 }

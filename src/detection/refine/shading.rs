@@ -22,7 +22,7 @@ const LIGHT_TERMS: usize = 9;
 const BY_LEVEL: usize = 4;
 const BY_AMPLITUDE: usize = 5;
 /// Weak prior on the terms, as a fraction of the samples' weight: it keeps undetermined terms at 0.
-const PRIOR: f64 = 1e-6;
+const PRIOR_WEIGHT_PART: f64 = 1e-6;
 
 /// Subtracts from `samples` the light in the residuals of their last fit, whose linearization is in
 /// `columns`. `reach`: half the window's extent, in samples.
@@ -43,7 +43,7 @@ pub(super) fn take_off_shading(samples: &mut Samples, columns: &ModelColumns, re
     let mut normal = SMatrix::<f64, TERMS, TERMS>::from_fn(|row, col| products[row][col]);
     let right = SVector::<f64, TERMS>::from_fn(|row, _| products[row][TERMS]);
     for term in 0..TERMS {
-        normal[(term, term)] += PRIOR * total;
+        normal[(term, term)] += PRIOR_WEIGHT_PART * total;
     }
     let Some(factors) = normal.cholesky() else { return };
     let shading = factors.solve(&right);
@@ -89,7 +89,7 @@ pub(super) fn joint_step(
     let mut normal = SMatrix::<f64, JOINT, JOINT>::from_fn(|row, col| sums.products[row][col]);
     let right = SVector::<f64, JOINT>::from(sums.right);
     for k in 0..JOINT {
-        normal[(k, k)] *= 1.0 + PRIOR;
+        normal[(k, k)] *= 1.0 + PRIOR_WEIGHT_PART;
     }
     // The terms of the pattern are relative to its amplitude already.
     for k in 0..TERMS {

@@ -11,7 +11,7 @@ use crate::geometry::median::{STD_PER_MAD, median_of};
 /// There are steps where a smooth field's mean square is this many times that expected from
 /// differences between neighbors: chosen, not swept; light with noise alone did not reach it once
 /// in the 500 fields of the test.
-const STEPPED: f64 = 4.0;
+const STEPPED_MEAN_SQUARES: f64 = 4.0;
 /// Rounds of weighted least squares, starting from the median slope (chosen, not swept).
 const ROUNDS: usize = 4;
 
@@ -39,7 +39,7 @@ impl SteppedFit {
         field.solution = self.median_slope(samples, &field)?;
         // The variance of a difference is twice that of a sample.
         let expected = self.typical_square(samples, &field)? / 2.0;
-        if mean_square <= STEPPED * expected {
+        if mean_square <= STEPPED_MEAN_SQUARES * expected {
             return None;
         }
         let order = highest_order(samples.len(), order);

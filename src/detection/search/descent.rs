@@ -6,9 +6,10 @@ use crate::detection::measure::prediction::sharpen_all;
 use crate::detection::search::growth::Growth;
 use crate::detection::search::level::SearchScene;
 
-/// The most lines beyond the grid's own that an occluder may hide, on each side.
+/// The most lines beyond the grid's own that an occluder may hide, on each side. Chosen, not swept.
 const MOST_HIDDEN_LINES: i32 = 3;
 /// The most bridges, one after the other: corners beyond one occluder may help to cross the next.
+/// Chosen, not swept.
 const BRIDGES: usize = 2;
 
 impl Growth {

@@ -38,7 +38,7 @@ use crate::imaging::gray::GrayView;
 /// and a board without a single visible square would have been found on the level above.
 const ROW_STEP: usize = 2;
 /// Least side of a square in the image, in pixels: boards with smaller squares are not searched
-/// for.
+/// for. Chosen, not swept.
 const LEAST_SQUARE_PX: usize = 4;
 /// A part of the board with more than one corner in this many of the board's ends the search: finer
 /// levels are not searched for a larger part. Chosen, not swept.

@@ -27,6 +27,7 @@ use crate::detection::verify::placement::{BoardPlacement, place};
 use crate::geometry::board::BoardSize;
 
 /// Corners of a tracked board that are refined, to estimate the blur and the error of the others.
+/// Chosen, not swept.
 const SAMPLED: usize = 4;
 
 /// A board in a live image.

@@ -13,7 +13,7 @@ use crate::detection::verify::placement::BoardPlacement;
 use crate::geometry::board::BoardSize;
 
 /// Bounds of the standard deviation of a corner that could not be refined, in pixels: the error of
-/// the window that found it, and the size of that window.
+/// the window that found it, and the size of that window. Chosen, not swept.
 const UNREFINED_STD_PX: [f64; 2] = [0.3, 3.0];
 
 /// What one corner is compared with.

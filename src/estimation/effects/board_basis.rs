@@ -24,7 +24,7 @@ const MAX_OWN: usize = 150;
 
 /// A polynomial is dropped where less than this part of its square remains after projection onto
 /// those before it: the points do not determine it.
-const LEAST_REST: f64 = 1e-4;
+const LEAST_REST_PART: f64 = 1e-4;
 
 /// The largest number of distinct points times views. Beyond it, the points cannot be those of one
 /// board, and memory would not suffice: products of the shape with each view's pose and motion take
@@ -180,7 +180,7 @@ fn heights(points: &[[f64; 2]], max_degree: usize) -> Vec<(usize, Vec<f64>)> {
                 }
             }
             let rest = mean_product(&values, &values);
-            if rest > LEAST_REST * before {
+            if rest > LEAST_REST_PART * before {
                 values.iter_mut().for_each(|v| *v /= rest.sqrt());
                 kept.push((degree, values));
             }

@@ -7,7 +7,7 @@ use nalgebra::{DMatrix, DVector};
 const BLOCK: usize = 32;
 
 /// Columns of the inverse computed at once. Narrow strips skip the zeros above the diagonal.
-const ACROSS: usize = 64;
+const STRIP_COLUMNS: usize = 64;
 
 /// A lower-triangular L with L Lᵀ = A, and the inverses of its diagonal blocks.
 pub(super) struct Factor {
@@ -63,8 +63,8 @@ impl Factor {
         for (block, at) in (0..size).step_by(BLOCK).enumerate() {
             let width = BLOCK.min(size - at);
             let own = &self.diagonal_inverses[block];
-            for first in (0..at).step_by(ACROSS) {
-                let (across, deep) = (ACROSS.min(at - first), at - first);
+            for first in (0..at).step_by(STRIP_COLUMNS) {
+                let (across, deep) = (STRIP_COLUMNS.min(at - first), at - first);
                 let left = self.lower.view((at, first), (width, deep))
                     * of_lower.view((first, first), (deep, across));
                 of_lower.view_mut((at, first), (width, across)).gemm(-1.0, own, &left, 0.0);

@@ -31,11 +31,11 @@ pub(crate) struct Variances(pub(crate) Vec<EffectVariance>);
 
 /// Factor on λ of an effect that is held at zero: its standard deviation becomes a ten-thousandth
 /// of what it was. Not swept.
-const HELD: f64 = 1e8;
+const HELD_LAMBDA_FACTOR: f64 = 1e8;
 
 /// λ over the largest information of any view's motion, for a motion that is not in the model: the
 /// prior then holds it at zero.
-const NOTHING: f64 = 1e9;
+const ABSENT_MOTION_LAMBDA: f64 = 1e9;
 
 impl Variances {
     /// Initial variances: each effect alone could double the residuals.
@@ -79,7 +79,7 @@ impl Variances {
     /// λ of each of the six numbers of a motion.
     pub(super) fn of_motion(&self, system: &System) -> Vector6<f64> {
         let largest = system.views.iter().map(|v| v.motion.diagonal().max()).fold(1e-300, f64::max);
-        let of = |effect: Effect| self.of(effect).unwrap_or(NOTHING * largest);
+        let of = |effect: Effect| self.of(effect).unwrap_or(ABSENT_MOTION_LAMBDA * largest);
         let (rotation, translation) = (of(Effect::Rotation), of(Effect::Translation));
         Vector6::new(rotation, rotation, rotation, translation, translation, translation)
     }
@@ -91,7 +91,7 @@ impl Variances {
     /// The same with some effects held at zero.
     pub(super) fn held(&self, effects: &[Effect]) -> Self {
         let held = |one: &EffectVariance| match effects.contains(&one.effect) {
-            true => EffectVariance { lambda: one.lambda * HELD, ..*one },
+            true => EffectVariance { lambda: one.lambda * HELD_LAMBDA_FACTOR, ..*one },
             false => *one,
         };
         Self(self.0.iter().map(held).collect())

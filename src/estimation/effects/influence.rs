@@ -21,7 +21,7 @@ const MAX_INFLUENCES: usize = 60;
 const MAX_STEPS: usize = 30;
 
 /// The part of the residual's initial square at which conjugate gradients end.
-const SOLVED: f64 = 1e-6;
+const SOLVED_PART: f64 = 1e-6;
 
 /// One view's Jacobian at a state, its pose and motion to be eliminated.
 pub(super) struct ViewJacobian<'a> {
@@ -145,7 +145,7 @@ impl<'a> ViewJacobian<'a> {
         let mut moved = DVector::zeros(rest.len());
         let mut preconditioned = covariance * &rest;
         let mut square = rest.dot(&preconditioned);
-        let least = SOLVED * square;
+        let least = SOLVED_PART * square;
         let (mut step, mut with_inverse) = (preconditioned.clone(), rest.clone());
         for _ in 0..MAX_STEPS {
             let image = &with_inverse - self.information(&step);

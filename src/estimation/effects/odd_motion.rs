@@ -17,14 +17,14 @@ const ROUNDING_PART: f64 = 1e-6;
 
 /// A motion is odd, and residuals are larger than noise, from this many standard deviations on. If
 /// all boards move alike, one view in four thousand exceeds it by chance. Chosen, not swept.
-const ODD: f64 = 3.5;
+const ODD_STDS: f64 = 3.5;
 
 /// Below this many standard deviations, at the minimum of all views, a view fits as the others do.
 /// One view in forty of those that do exceeds it by chance. Chosen, not swept.
 const FITS: f64 = 2.0;
 
 /// Parameters that are fitted to one view: six of its pose, six of its motion.
-const OF_VIEW: f64 = 12.0;
+const VIEW_PARAMETERS: f64 = 12.0;
 
 impl EffectSearch {
     /// Whether the corners of `view` fit as those of the other views do, at this minimum of all of
@@ -35,7 +35,7 @@ impl EffectSearch {
         let others = good.iter().filter(|other| **other != view).map(|other| residuals(*other));
         let of_others = CappedSquares::of(others, noise_square);
         let misfit = CappedSquares::of([residuals(view)], noise_square);
-        misfit.excess_over(&of_others, OF_VIEW) < FITS
+        misfit.excess_over(&of_others, VIEW_PARAMETERS) < FITS
     }
 
     /// The motion of `view` in `scene`, relative to that of the other views. `None` unless it is
@@ -96,7 +96,7 @@ impl EffectSearch {
         let of_others = others.good.iter().map(|other| residuals(*other));
         let of_others = CappedSquares::of(of_others, noise_square);
         let misfit = CappedSquares::of([residuals(view)], noise_square);
-        let misfit = misfit.excess_over(&of_others, OF_VIEW);
-        (deviations >= ODD && misfit >= ODD).then_some(ratio.sqrt())
+        let misfit = misfit.excess_over(&of_others, VIEW_PARAMETERS);
+        (deviations >= ODD_STDS && misfit >= ODD_STDS).then_some(ratio.sqrt())
     }
 }

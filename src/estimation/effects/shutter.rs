@@ -16,20 +16,21 @@ use crate::geometry::median::median;
 
 /// The views agree where their mean is this many of its standard deviations above 0. With fifteen
 /// views, chance alone exceeds it less than five times in a thousand.
-const AGREED: f64 = 3.0;
+const AGREED_STDS: f64 = 3.0;
 
-/// With fewer than eight views, chance exceeds [`AGREED`] more often than once in a hundred times.
-/// So the mean must also be as rare as this many standard deviations of a normal distribution.
-const AGREED_OF_FEW: f64 = 2.33;
+/// With fewer than eight views, chance exceeds [`AGREED_STDS`] more often than once in a hundred
+/// times. So the mean must also be as rare as this many standard deviations of a normal
+/// distribution.
+const AGREED_OF_FEW_STDS: f64 = 2.33;
 
 /// Steps of the control before a first comparison. That result is final where it exceeds what is
 /// required by this factor: further steps moved its mean by a quarter at most.
 const FIRST_STEPS: usize = 2;
-const CLEARLY: f64 = 1.5;
+const CLEAR_FACTOR: f64 = 1.5;
 
 /// A view's value is clamped to this many times the median of all views, so that one whose motion
 /// has not converged cannot decide.
-const MOST: f64 = 5.0;
+const MOST_MEDIANS: f64 = 5.0;
 
 impl EffectSearch {
     /// Whether views agree that they were read by rows rather than by columns. Motion read by
@@ -52,7 +53,7 @@ impl EffectSearch {
             let of_views = views_by_rows.iter().zip(views).map(|(rows, columns)| rows - columns);
             RollingShutterTest::of(rows - columns, &of_views.collect::<Vec<f64>>(), asked)
         };
-        let first = against(FIRST_STEPS, CLEARLY)?;
+        let first = against(FIRST_STEPS, CLEAR_FACTOR)?;
         if first.is_shown { Some(first) } else { against(MAX_STEPS - FIRST_STEPS, 1.0) }
     }
 
@@ -87,15 +88,17 @@ impl RollingShutterTest {
     /// are multiplied by `asked`. `None` without views.
     fn of(favor: f64, of_views: &[f64], asked: f64) -> Option<Self> {
         let typical = median(of_views.iter().map(|one: &f64| one.abs()).collect())?;
-        let of_views: Vec<f64> =
-            of_views.iter().map(|one| one.clamp(-MOST * typical, MOST * typical)).collect();
+        let of_views: Vec<f64> = of_views
+            .iter()
+            .map(|one| one.clamp(-MOST_MEDIANS * typical, MOST_MEDIANS * typical))
+            .collect();
         let count = of_views.len() as f64;
         let mean = of_views.iter().sum::<f64>() / count;
         let squares = of_views.iter().map(|one| (one - mean).powi(2)).sum::<f64>();
         let std = (squares / (count - 1.0).max(1.0) / count).sqrt();
         let t = mean / std.max(f64::MIN_POSITIVE);
         let deviations = normal_deviations(t, count - 1.0);
-        let agree = t >= asked * AGREED && deviations >= asked * AGREED_OF_FEW;
+        let agree = t >= asked * AGREED_STDS && deviations >= asked * AGREED_OF_FEW_STDS;
         let is_favored = favor >= asked * LEAST_GROUP_GAIN;
         let beyond_chance = if is_favored { (1.0 - 1.0 / (t * t)).max(0.0) } else { 0.0 };
         Some(Self {

@@ -39,7 +39,7 @@ pub(crate) struct Minimum {
 }
 
 /// Residuals this small, in standard deviations, are rounding: the data is exact.
-const EXACT: f64 = 1e-11;
+const EXACT_STDS: f64 = 1e-11;
 
 impl Minimum {
     /// The start of an iteration. `None` where a used corner cannot be projected.
@@ -89,7 +89,7 @@ pub(crate) fn walk<S>(
     let (mut lambda, mut growth, mut steps) = (stop.lambda, 2.0, 0);
     for _ in 0..stop.max_steps {
         let mean_cost = equations.cost / residual_count.max(1) as f64;
-        if mean_cost < EXACT * EXACT {
+        if mean_cost < EXACT_STDS * EXACT_STDS {
             break;
         }
         let step = equations.solve(lambda);

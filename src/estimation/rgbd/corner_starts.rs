@@ -6,7 +6,7 @@ use crate::estimation::rgbd::problem::RgbdProblem;
 /// Two fits are of one minimum where the variances of the sensors' pose differ by less than this
 /// factor. Seeded boards that move, and few frontal ones, have the same results from 10 to 100; 5
 /// takes a moving board for one at rest, 300 leaves some boards at rest in another minimum.
-const SAME_MINIMUM: f64 = 30.0;
+const SAME_MINIMUM_RATIO: f64 = 30.0;
 
 /// Where the board's motion is known, the better of two fits: with each board moved on to when
 /// infrared was taken, and with each board as color saw it, which leaves out the views in which it
@@ -37,7 +37,7 @@ fn fit_from_both(problem: &RgbdProblem) -> Option<CornerBlocks> {
     let is_better = |together: &CornerBlocks| {
         each_moved.as_ref().is_none_or(|moved| {
             together.separate_in_time.len() <= moved.separate_in_time.len()
-                && SAME_MINIMUM * unsure_m2(together) < unsure_m2(moved)
+                && SAME_MINIMUM_RATIO * unsure_m2(together) < unsure_m2(moved)
         })
     };
     if together.as_ref().is_some_and(is_better) { together } else { each_moved }

@@ -23,7 +23,7 @@ const CENTER_STD_WIDTHS: f64 = 0.05;
 /// depth camera: a principal point a quarter of the width off center, or pixels one by 1.05 wide.
 /// The lenses from those views lie within 1, that of their mirrored images at 9, so any limit
 /// between separates them.
-const IMPLAUSIBLE: f64 = 5.0;
+const IMPLAUSIBLE_STDS: f64 = 5.0;
 
 /// A residual of the prior in standard deviations, with its derivatives by the focal lengths and
 /// the principal point.
@@ -61,7 +61,7 @@ fn rows(lens: &Lens, size: ImageSize) -> [PriorRow; 3] {
 /// assert!(!is_plausible(&of(610.0), ImageSize::new(640, 480)));
 /// ```
 pub fn is_plausible(lens: &Lens, size: ImageSize) -> bool {
-    rows(lens, size).iter().all(|row| row.residual.abs() <= IMPLAUSIBLE)
+    rows(lens, size).iter().all(|row| row.residual.abs() <= IMPLAUSIBLE_STDS)
 }
 
 /// Adds the prior of a lens whose focal lengths and principal point are the global parameters from

@@ -46,7 +46,7 @@ pub struct TimeOffset {
 
 /// Poses further separated in time than this many times the median interval belong to different
 /// motions.
-const GAP: f64 = 2.5;
+const GAP_INTERVALS: f64 = 2.5;
 
 /// The longest time between poses that determine a velocity, in seconds.
 const LONGEST_S: f64 = 0.5;
@@ -79,7 +79,7 @@ fn gaps_s(moments: &[TimedPose]) -> Vec<f64> {
 /// The longest interval between two frames of one motion, in seconds, given all `gaps`.
 fn longest_gap_s(gaps: &[f64]) -> Option<f64> {
     let median_gap = median(gaps.iter().copied().filter(|gap| *gap > 0.0).collect())?;
-    Some((GAP * median_gap).min(LONGEST_S))
+    Some((GAP_INTERVALS * median_gap).min(LONGEST_S))
 }
 
 /// A board in a frame, and its possible poses shortly after.
@@ -200,7 +200,7 @@ const LEAST_FRAME_SETS: usize = 8;
 
 /// A frame set is an outlier, with images of different times, if its residual exceeds this many
 /// standard deviations, and this many times what the estimated offset explains.
-const LIMIT: [f64; 2] = [6.0, 2.0];
+const OUTLIER_LIMITS: [f64; 2] = [6.0, 2.0];
 
 /// The median of χ² with six degrees of freedom.
 const MEDIAN_OF_SIX: f64 = 5.348;
@@ -234,7 +234,8 @@ pub fn time_offset(
         let median_speed = median(rows.iter().map(|row| row.speed).collect())?;
         let explained = |row: &OffsetRow| fit.answer[6].abs() * (row.speed + median_speed);
         let wrong = |(row, length): (&OffsetRow, &f64)| {
-            *length > LIMIT[0] * std * 6.0_f64.sqrt() && *length > LIMIT[1] * explained(row)
+            *length > OUTLIER_LIMITS[0] * std * 6.0_f64.sqrt()
+                && *length > OUTLIER_LIMITS[1] * explained(row)
         };
         weights =
             rows.iter().zip(&lengths).map(|pair| if wrong(pair) { 0.0 } else { 1.0 }).collect();

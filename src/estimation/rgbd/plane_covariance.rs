@@ -15,7 +15,7 @@ use crate::estimation::rgbd::planes::{Fit, Planes, scaled};
 /// Where another form of the correction changes lens or pose by more than this many standard
 /// deviations, the change is added to their uncertainty. At exactly this many it counts by half, as
 /// the change itself is known to one standard deviation.
-const FORM_LIMIT: f64 = 3.0;
+const FORM_LIMIT_STDS: f64 = 3.0;
 
 impl Planes<'_> {
     /// The covariance of lens and pose from planes: from the tiles' scatter; from the scatter
@@ -123,7 +123,7 @@ impl Planes<'_> {
             other.map_or_else(|| DVector::zeros(covariance.nrows()), |other| self.step(fit, other));
         let in_deviations = (0..step.len())
             .map(|k| step[k].abs() / covariance[(k, k)].max(f64::MIN_POSITIVE).sqrt());
-        let beyond_chance = normal_probability(in_deviations.fold(0.0, f64::max) - FORM_LIMIT);
+        let beyond_chance = normal_probability(in_deviations.fold(0.0, f64::max) - FORM_LIMIT_STDS);
         &step * step.transpose() * beyond_chance
     }
 }

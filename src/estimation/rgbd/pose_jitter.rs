@@ -20,7 +20,7 @@ pub(super) struct PoseJitter {
 }
 
 /// The variance that means no pose jitter.
-const NONE: f64 = 1e-16;
+const NO_JITTER_VARIANCE: f64 = 1e-16;
 
 /// The least gain in log-likelihood by which a variance counts as more than chance. Of sets of
 /// views without pose jitter, about one in forty gains as much (half a χ² of one degree of freedom,
@@ -44,7 +44,7 @@ impl PoseJitter {
                 .iter()
                 .map(|one| one.difference.fixed_rows::<3>(from).norm_squared())
                 .collect();
-            (median(squares).unwrap_or(0.0) / MEDIAN_OF_THREE).max(NONE)
+            (median(squares).unwrap_or(0.0) / MEDIAN_OF_THREE).max(NO_JITTER_VARIANCE)
         };
         Self { rotation: middle(0), translation: middle(3) }
     }
@@ -67,7 +67,11 @@ impl PoseJitter {
                 squares += own * variance / prior;
                 determined += (3.0 - left).max(0.0);
             }
-            if determined <= 0.0 { variance } else { (squares / determined).clamp(NONE, 1.0) }
+            if determined <= 0.0 {
+                variance
+            } else {
+                (squares / determined).clamp(NO_JITTER_VARIANCE, 1.0)
+            }
         };
         Self { rotation: of(0, self.rotation), translation: of(3, self.translation) }
             .where_shown(&differences, self)
@@ -86,18 +90,21 @@ impl PoseJitter {
                 (pose_jitter.rotation - held.rotation, pose_jitter.translation - held.translation);
             differences.clone().map(|view| view.likelihood(rotation, translation)).sum()
         };
-        if likelihood(self) - likelihood(Self { rotation: NONE, ..self }) < LEAST_GAIN {
-            self.rotation = NONE;
+        if likelihood(self) - likelihood(Self { rotation: NO_JITTER_VARIANCE, ..self }) < LEAST_GAIN
+        {
+            self.rotation = NO_JITTER_VARIANCE;
         }
-        if likelihood(self) - likelihood(Self { translation: NONE, ..self }) < LEAST_GAIN {
-            self.translation = NONE;
+        if likelihood(self) - likelihood(Self { translation: NO_JITTER_VARIANCE, ..self })
+            < LEAST_GAIN
+        {
+            self.translation = NO_JITTER_VARIANCE;
         }
         self
     }
 
     /// Whether the views show none.
     pub(super) fn is_none(self) -> bool {
-        self.rotation <= NONE && self.translation <= NONE
+        self.rotation <= NO_JITTER_VARIANCE && self.translation <= NO_JITTER_VARIANCE
     }
 
     pub(super) fn is_near(self, other: Self) -> bool {
@@ -158,7 +165,7 @@ impl PoseDifference {
     fn likelihood(&self, rotation: f64, translation: f64) -> f64 {
         let more =
             Vector6::new(rotation, rotation, rotation, translation, translation, translation);
-        let prior = (self.prior + more).map(|variance| variance.max(NONE));
+        let prior = (self.prior + more).map(|variance| variance.max(NO_JITTER_VARIANCE));
         let Some(factor) = (self.measured + Matrix6::from_diagonal(&prior)).cholesky() else {
             return f64::NEG_INFINITY;
         };

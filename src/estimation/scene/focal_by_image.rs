@@ -23,17 +23,17 @@ pub struct FocalByImage {
 
 /// The prior standard deviation of each logarithm: a factor of e, which is hardly a constraint. It
 /// keeps the problem solvable where the common focal length is estimated too.
-const OPEN: f64 = 1.0;
+const LOG_FOCAL_STD: f64 = 1.0;
 
-/// A limit for safety: fits end earlier, where a step is below [`SETTLED`]. Images enlarged by up
-/// to 1.3 reach the focal length that they show within as many fits.
-const FITS: usize = 4;
+/// A limit for safety: fits end earlier, where a step is below [`SETTLED_STEP`]. Images enlarged by
+/// up to 1.3 reach the focal length that they show within as many fits.
+const MOST_FITS: usize = 4;
 
 /// The fits end where a step of all logarithms is below this: a fifth of the least difference that
 /// is reported.
-const SETTLED: f64 = 1e-3;
+const SETTLED_STEP: f64 = 1e-3;
 
-const FITTING: BundleStop = BundleStop { max_steps: 30, least_decrease: 1e-3 };
+const FIT_STOP: BundleStop = BundleStop { max_steps: 30, least_decrease: 1e-3 };
 
 /// The focal lengths that the images show where they may differ by much, starting from `state`.
 /// `bundle` has all observations, including those that are outliers for a common focal length. Each
@@ -42,10 +42,10 @@ pub fn separate_focals(bundle: &Bundle, state: &SceneState) -> Option<FocalByIma
     let mut scaled = bundle.clone();
     let mut state = state.clone();
     let mut log_ratios = DVector::zeros(state.cameras_from_scene.len());
-    for _ in 0..FITS {
+    for _ in 0..MOST_FITS {
         scaled.rescaled(scaled.median_noise(&state));
         scaled.robust_limit = CAUCHY;
-        state = scaled.minimize(state, FITTING);
+        state = scaled.minimize(state, FIT_STOP);
         // Observations may fit better now: outliers have little weight only relative to the true
         // noise.
         scaled.rescaled(scaled.median_noise(&state));
@@ -53,11 +53,11 @@ pub fn separate_focals(bundle: &Bundle, state: &SceneState) -> Option<FocalByIma
         let step = step.add_scalar(-step.mean());
         log_ratios += &step;
         scale_images(&mut scaled, bundle, &state, &log_ratios);
-        if step.amax() < SETTLED {
+        if step.amax() < SETTLED_STEP {
             break;
         }
     }
-    let mut last = fit_robustly(scaled, state, FITTING);
+    let mut last = fit_robustly(scaled, state, FIT_STOP);
     let shared = lens_covariance(&last.bundle, &last.state, 1.0)?.shared;
     last.bundle.rescaled(shared.sqrt());
     let found = focal_by_image(&last.bundle, &last.state)?;
@@ -110,7 +110,7 @@ pub fn focal_by_image(bundle: &Bundle, state: &SceneState) -> Option<FocalByImag
         of_point.add_to(bundle, state, &mut matrix, &mut gradient);
     }
     bundle.add_prior(&state.lens, &mut matrix, &mut gradient);
-    (own..own + cameras).for_each(|k| matrix[(k, k)] += OPEN.powi(-2));
+    (own..own + cameras).for_each(|k| matrix[(k, k)] += LOG_FOCAL_STD.powi(-2));
     matrix.fill_upper_triangle_with_lower_triangle();
     let scale = scale_parameter(bundle, state);
     let lens = bundle.free.len();

@@ -15,19 +15,19 @@ const TRIED_TRACKS: usize = 400;
 const TRIED_FOCALS: [f64; 4] = [0.6, 1.2, 2.2, 4.0];
 
 /// How many of the best votes for a focal length are tried.
-const VOTES: usize = 2;
+const BEST_VOTES: usize = 2;
 
 /// Two focal lengths within this ratio are one hypothesis.
-const SAME: f64 = 1.25;
+const SAME_FOCAL_RATIO: f64 = 1.25;
 
 /// An unexplained observation costs as much as one with a residual of this many standard
 /// deviations.
-const UNEXPLAINED: f64 = 10.0;
+const UNEXPLAINED_STDS: f64 = 10.0;
 
 /// Cauchy's limit in the comparison, in expected standard deviations.
-const ROBUST_LIMIT: f64 = 3.0;
+const CAUCHY_LIMIT_STDS: f64 = 3.0;
 
-const TRYING: BundleStop = BundleStop { max_steps: 25, least_decrease: 1e-3 };
+const TRIAL_STOP: BundleStop = BundleStop { max_steps: 25, least_decrease: 1e-3 };
 
 /// The reconstruction of all tracks from the focal length that explains the longest tracks best. If
 /// `given`, only that one is tried. `None` where no reconstruction can be started.
@@ -51,10 +51,10 @@ fn hypotheses(problem: &SceneProblem, pairs: &[ImagePair]) -> Vec<f64> {
     let weighted: Vec<_> =
         pairs.iter().map(|pair| (pair.fundamental, (pair.matches.len() as f64).sqrt())).collect();
     let votes = likely_focals(&focal_votes(&weighted, size));
-    let mut focals: Vec<f64> = votes.iter().take(VOTES).map(|vote| vote.focal_px).collect();
+    let mut focals: Vec<f64> = votes.iter().take(BEST_VOTES).map(|vote| vote.focal_px).collect();
     let longer = f64::from(size.width.max(size.height));
     for focal in TRIED_FOCALS.map(|part| part * longer) {
-        if focals.iter().all(|other| (other / focal).ln().abs() > SAME.ln()) {
+        if focals.iter().all(|other| (other / focal).ln().abs() > SAME_FOCAL_RATIO.ln()) {
             focals.push(focal);
         }
     }
@@ -69,12 +69,12 @@ fn tried(few: &SceneProblem, pairs: &[ImagePair], focal: f64) -> Option<(Lens, f
     let lens = Lens::from_parameters(LensModel::Radial, &parameters)?;
     let Reconstruction { mut bundle, state, .. } = reconstruct(few, pairs, lens)?;
     bundle.free = vec![Lens::FX, Lens::FY, Lens::FIRST_COEFFICIENT];
-    bundle.robust_limit = ROBUST_LIMIT;
-    let state = bundle.minimize(state, TRYING);
+    bundle.robust_limit = CAUCHY_LIMIT_STDS;
+    let state = bundle.minimize(state, TRIAL_STOP);
     let explained: usize = bundle.observations.iter().map(Vec::len).sum();
     let all: usize = few.tracks.iter().map(Vec::len).sum();
-    let limit = ROBUST_LIMIT * ROBUST_LIMIT;
-    let unexplained = limit * (1.0 + UNEXPLAINED * UNEXPLAINED / limit).ln();
+    let limit = CAUCHY_LIMIT_STDS * CAUCHY_LIMIT_STDS;
+    let unexplained = limit * (1.0 + UNEXPLAINED_STDS * UNEXPLAINED_STDS / limit).ln();
     let cost = bundle.cost(&state) + (all - explained) as f64 * unexplained;
     Some((state.lens, cost / all.max(1) as f64))
 }

@@ -50,9 +50,9 @@ pub struct ScaleEstimate {
 
 /// Readings with a larger residual, in standard deviations, are outliers: of normal ones, one in
 /// 370.
-const OUTLIER: f64 = 3.0;
+const OUTLIER_STDS: f64 = 3.0;
 /// How often the line is fitted to its inliers.
-const FITS: usize = 5;
+const MOST_FITS: usize = 5;
 /// The prior standard deviation of a depth camera's offset, in 1/m: stereo cameras are sold as
 /// within 2 % at 2 m, which are two of these.
 const OFFSET_STD_PER_M: f64 = 0.005;
@@ -69,9 +69,9 @@ pub fn metric_scale(readings: &[ScaleReading], points: &[Point3<f64>]) -> Option
     let mut line = Line { scale: middle, offset: 0.0 };
     let mut kept: Vec<&ScaleReading> = Vec::new();
     let mut inverse = Matrix2::zeros();
-    for _ in 0..FITS {
+    for _ in 0..MOST_FITS {
         let in_std = |reading: &ScaleReading| line.left(reading).abs() / reading.std;
-        let limit = OUTLIER * STD_PER_MAD * median(readings.iter().map(in_std).collect())?;
+        let limit = OUTLIER_STDS * STD_PER_MAD * median(readings.iter().map(in_std).collect())?;
         kept = readings.iter().filter(|reading| in_std(reading) <= limit).collect();
         (line, inverse) = Line::through(&kept)?;
     }

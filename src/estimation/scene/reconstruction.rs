@@ -60,7 +60,7 @@ const LEAST_RESECTED: usize = 15;
 /// How many pairs are tried as the first.
 const FIRST_PAIRS: usize = 6;
 
-const GROWING: BundleStop = BundleStop { max_steps: 8, least_decrease: 1e-3 };
+const GROWTH_STOP: BundleStop = BundleStop { max_steps: 8, least_decrease: 1e-3 };
 
 /// The reconstruction from the best first pair of images; `None` where no pair determines depth.
 pub fn reconstruct(
@@ -223,7 +223,7 @@ impl<'a> IncrementalReconstruction<'a> {
         let (mut bundle, state, tracks) = self.bundle(free);
         let noise = bundle.median_noise(&state);
         bundle.robust_limit = 2.4 * noise;
-        let state = bundle.minimize(state, GROWING);
+        let state = bundle.minimize(state, GROWTH_STOP);
         self.lens = state.lens;
         for (image, pose) in self.order.iter().zip(&state.cameras_from_scene) {
             self.camera_from_scene[*image] = Some(*pose);

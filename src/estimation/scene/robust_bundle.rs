@@ -5,7 +5,7 @@ use crate::geometry::median::median;
 
 /// Observations with a longer residual, in standard deviations of a coordinate, are outliers: of
 /// inliers, one in 500 is longer.
-const WRONG: f64 = 3.5;
+const OUTLIER_STDS: f64 = 3.5;
 
 /// Rounds of fitting and dropping outliers.
 const ROUNDS: usize = 4;
@@ -107,7 +107,8 @@ fn drop_wrong(bundle: &mut Bundle, state: &mut SceneState) {
     let mut kept_points = Vec::new();
     let mut kept_observations = Vec::new();
     for ((seen, squares), point) in bundle.observations.iter().zip(&squares).zip(&state.points) {
-        let right = seen.iter().zip(squares).filter(|(_, square)| **square <= WRONG * WRONG);
+        let right =
+            seen.iter().zip(squares).filter(|(_, square)| **square <= OUTLIER_STDS * OUTLIER_STDS);
         let seen: Vec<_> = right.map(|(seen, _)| *seen).collect();
         if seen.len() >= 2 {
             kept_observations.push(seen);

@@ -29,24 +29,24 @@ pub struct RotatedPair {
 }
 
 /// Focal lengths tried, over the longer side.
-const SHORTEST: f64 = 0.3;
-const LONGEST: f64 = 8.0;
-const TRIED: usize = 120;
+const SHORTEST_FOCAL: f64 = 0.3;
+const LONGEST_FOCAL: f64 = 8.0;
+const FOCAL_SAMPLES: usize = 120;
 
 /// The deviation from orthonormality that K⁻¹ H K of a rotation may have, as [`deviation`] measures
 /// it. From five times this on, as the mean over all pairs, the camera did not only rotate.
-const ORTHONORMAL: f64 = 0.02;
+const MOST_DEVIATION: f64 = 0.02;
 
 /// The scale of Cauchy's loss, in standard deviations (95 % efficient without outliers).
-const ROBUST: f64 = 2.4;
+const CAUCHY_STDS: f64 = 2.4;
 
-const DESCENDING: BundleStop = BundleStop { max_steps: 20, least_decrease: 1e-5 };
+const DESCENT_STOP: BundleStop = BundleStop { max_steps: 20, least_decrease: 1e-5 };
 
 /// The largest number of fits, each with the loss's scale from the noise of the one before.
-const REFITS: usize = 10;
+const MOST_FITS: usize = 10;
 
 /// The fits end where the noise remains above this part of that of the fit before.
-const SETTLED: f64 = 0.98;
+const SETTLED_NOISE_PART: f64 = 0.98;
 
 /// The deviation of M = K⁻¹ H K, scaled to determinant 1, from orthonormality: the Frobenius norm
 /// of MᵀM − I. Returned with M.
@@ -72,12 +72,12 @@ pub fn focal_of_rotations(pairs: &[RotatedPair], problem: &SceneProblem) -> Opti
             .sum();
         sum / weight.max(1) as f64
     };
-    let tried = (0..TRIED).map(|k| {
-        let part = k as f64 / (TRIED - 1) as f64;
-        longer * SHORTEST * (LONGEST / SHORTEST).powf(part)
+    let tried = (0..FOCAL_SAMPLES).map(|k| {
+        let part = k as f64 / (FOCAL_SAMPLES - 1) as f64;
+        longer * SHORTEST_FOCAL * (LONGEST_FOCAL / SHORTEST_FOCAL).powf(part)
     });
     let best = tried.map(|focal| (focal, cost(focal))).min_by(|a, b| a.1.total_cmp(&b.1))?;
-    (best.1 < 5.0 * ORTHONORMAL).then_some(best)
+    (best.1 < 5.0 * MOST_DEVIATION).then_some(best)
 }
 
 /// Rotations and directions from `pairs`, chained from the image with the most matches; `None`
@@ -114,16 +114,16 @@ pub fn reconstruct_rotations(
         interrupt: problem.interrupt.clone(),
     };
     let state = SceneState { lens, cameras_from_scene, points };
-    bundle.robust_limit = ROBUST * bundle.median_noise(&state);
-    let mut state = bundle.minimize(state, DESCENDING);
+    bundle.robust_limit = CAUCHY_STDS * bundle.median_noise(&state);
+    let mut state = bundle.minimize(state, DESCENT_STOP);
     // The homographies assumed a lens without distortion, with its principal point in the center.
     bundle.free = vec![Lens::FX, Lens::FY, Lens::CX, Lens::CY, Lens::FIRST_COEFFICIENT];
     let mut noise = bundle.median_noise(&state);
-    for _ in 0..REFITS {
-        bundle.robust_limit = ROBUST * noise;
-        state = bundle.minimize(state, DESCENDING);
+    for _ in 0..MOST_FITS {
+        bundle.robust_limit = CAUCHY_STDS * noise;
+        state = bundle.minimize(state, DESCENT_STOP);
         let last = std::mem::replace(&mut noise, bundle.median_noise(&state));
-        if noise > SETTLED * last {
+        if noise > SETTLED_NOISE_PART * last {
             break;
         }
     }

@@ -7,9 +7,9 @@ use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::pixel::ImageSize;
 
 /// Focal lengths tried, over the longer side of the image: 120 to 7 degrees of view.
-const SHORTEST: f64 = 0.3;
-const LONGEST: f64 = 8.0;
-const TRIED: usize = 80;
+const SHORTEST_FOCAL: f64 = 0.3;
+const LONGEST_FOCAL: f64 = 8.0;
+const FOCAL_SAMPLES: usize = 80;
 
 /// The gap between singular values at which a pair has half its largest cost: about the gap that
 /// noise and distortion leave at the true focal length.
@@ -34,8 +34,8 @@ pub fn focal_votes(pairs: &[(Matrix3<f64>, f64)], size: ImageSize) -> Vec<FocalV
     let center = size.center();
     let weight: f64 = pairs.iter().map(|(_, weight)| weight).sum();
     let vote = |k: usize| {
-        let part = k as f64 / (TRIED - 1) as f64;
-        let focal_px = longer * SHORTEST * (LONGEST / SHORTEST).powf(part);
+        let part = k as f64 / (FOCAL_SAMPLES - 1) as f64;
+        let focal_px = longer * SHORTEST_FOCAL * (LONGEST_FOCAL / SHORTEST_FOCAL).powf(part);
         let matrix =
             CameraMatrix { fx: focal_px, fy: focal_px, cx: center.x, cy: center.y, skew: 0.0 };
         let against = |(f, weight): &(Matrix3<f64>, f64)| {
@@ -45,7 +45,7 @@ pub fn focal_votes(pairs: &[(Matrix3<f64>, f64)], size: ImageSize) -> Vec<FocalV
         let cost = pairs.iter().map(against).sum::<f64>() / weight.max(f64::MIN_POSITIVE);
         FocalVote { focal_px, cost }
     };
-    (0..TRIED).map(vote).collect()
+    (0..FOCAL_SAMPLES).map(vote).collect()
 }
 
 /// The local minima of `votes`, best first.

@@ -72,7 +72,7 @@ pub struct Consensus<M> {
 
 /// Number of residual limits tried, and the ratio between them. The greatest is
 /// [`RansacOptions::max_limit_px`].
-const LIMITS: usize = 40;
+const LIMIT_COUNT: usize = 40;
 const LIMIT_RATIO: f64 = 1.15;
 
 /// The largest number of fits to the inliers of each new best model.
@@ -146,8 +146,8 @@ struct Scoring {
 impl Scoring {
     fn new<S: SampledModel>(problem: &S, options: &RansacOptions) -> Self {
         let n = problem.count();
-        let down = |k: usize| options.max_limit_px / LIMIT_RATIO.powi((LIMITS - 1 - k) as i32);
-        let limits_px: Vec<f64> = (0..LIMITS).map(down).collect();
+        let down = |k: usize| options.max_limit_px / LIMIT_RATIO.powi((LIMIT_COUNT - 1 - k) as i32);
+        let limits_px: Vec<f64> = (0..LIMIT_COUNT).map(down).collect();
         let chance = |limit: &f64| problem.chance(*limit).clamp(1e-12, 1.0).ln();
         let mut log_factorial = vec![0.0; n + 1];
         for k in 1..=n {
@@ -165,14 +165,14 @@ impl Scoring {
     }
 
     fn score<S: SampledModel>(&self, problem: &S, model: S::Model) -> Scored<S::Model> {
-        let mut counts = [0_usize; LIMITS];
+        let mut counts = [0_usize; LIMIT_COUNT];
         let (greatest, steps_per_log) =
-            (self.limits_px[LIMITS - 1].powi(2), 0.5 / LIMIT_RATIO.ln());
+            (self.limits_px[LIMIT_COUNT - 1].powi(2), 0.5 / LIMIT_RATIO.ln());
         for k in 0..problem.count() {
             let residual = problem.squared_residual_px2(&model, k);
             if residual <= greatest {
                 let below = ((greatest / residual.max(1e-12)).ln() * steps_per_log) as usize;
-                counts[LIMITS - 1 - below.min(LIMITS - 1)] += 1;
+                counts[LIMIT_COUNT - 1 - below.min(LIMIT_COUNT - 1)] += 1;
             }
         }
         let (mut inliers, mut best) = (0, (0, 0, f64::INFINITY));

@@ -12,7 +12,7 @@ use crate::geometry::pixel::Bearing;
 pub(super) const MAX_RADIUS: f64 = 573.0;
 
 /// The relative accuracy to which a radius is inverted before Newton's method takes over.
-const NEARLY: f64 = 1e-6;
+const BRACKETED_PART: f64 = 1e-6;
 
 /// A distortion of the ideal image plane.
 pub(super) trait PlaneDistortion<const N: usize> {
@@ -137,7 +137,7 @@ fn radial_inverse<const N: usize>(model: &impl PlaneDistortion<N>, radius: f64, 
     // False position with the Illinois rule: the value at an end that is kept twice is halved.
     let (mut at_low, mut at_high, mut moved) =
         (distorted_radius(low) - radius, distorted_radius(high) - radius, 0);
-    if at_high <= NEARLY * radius {
+    if at_high <= BRACKETED_PART * radius {
         return high;
     }
     for _ in 0..30 {
@@ -146,7 +146,7 @@ fn radial_inverse<const N: usize>(model: &impl PlaneDistortion<N>, radius: f64, 
             break;
         }
         let at_between = distorted_radius(between) - radius;
-        if at_between.abs() <= NEARLY * radius {
+        if at_between.abs() <= BRACKETED_PART * radius {
             return between;
         }
         if at_between < 0.0 {

@@ -19,16 +19,16 @@ const END_CORNERS: usize = 12;
 /// tenth of a cell allows, as the edge of an occluder, which lies anywhere, is another. Swept with
 /// 400 rendered boards from 0.1 to 0.2: the same wrong sizes, five needless hints fewer to two
 /// more.
-const BESIDE_END: f32 = 0.15;
+const BESIDE_END_SIDES: f32 = 0.15;
 /// Places along a cell's side whose mean counts, in sides from its middle: where a marker of any
 /// size has its border.
-const ALONG: [f32; 3] = [-0.2, 0.0, 0.2];
+const ALONG_SIDES: [f32; 3] = [-0.2, 0.0, 0.2];
 /// Least difference of neighboring cells that are seen, in parts of the row's contrast. Swept like
 /// this from 0.2 to 0.6: the same wrong sizes, up to three needless hints fewer.
 const LEAST_CONTRAST: f32 = 0.4;
 /// Largest difference of paper from the print of its color, in parts of the cells' contrast. Swept
 /// like this from 0.2 to 0.45: the same wrong sizes, up to two needless hints fewer.
-const ALIKE: f32 = 0.3;
+const MOST_DIFFERENCE: f32 = 0.3;
 /// Least cells that are seen to end, or pairs of a bright and a dark one: two that end on one line
 /// do so by chance where they end on that of the lattice, too.
 const LEAST_ENDING: usize = 2;
@@ -66,7 +66,7 @@ impl TargetDetector {
             let black = border / (grid.family.bits() as f32 + 2.0 * border);
             let middles = (0..across).step_by(2).map(|col| sheets.line(col) + 0.5);
             let middles: Vec<f32> = middles.collect();
-            let beside = BESIDE_END.min(0.5 * black);
+            let beside = BESIDE_END_SIDES.min(0.5 * black);
             return rows(0)
                 .into_iter()
                 .all(|row| sheet.tags_end(row, &middles, sheets.widths[1], beside));
@@ -76,7 +76,7 @@ impl TargetDetector {
         } else {
             &[PaperColor::Bright]
         };
-        let within = BESIDE_END.min(0.5 * sheets.margin);
+        let within = BESIDE_END_SIDES.min(0.5 * sheets.margin);
         let ends = rows(1).map(|row| sheet.squares_end(row, across as usize + 1, within));
         papers.iter().any(|&paper| ends.iter().all(|end| end.is_at(paper)))
     }
@@ -104,9 +104,9 @@ impl<'a> SeenSheet<'a> {
         let chart = self.chart([x, row.end])?;
         let mut values = [0.0; N];
         for (value, beyond) in values.iter_mut().zip(beyond) {
-            for aside in ALONG {
+            for aside in ALONG_SIDES {
                 let place = chart.at(x + aside, row.end + row.outward * beyond)?;
-                *value += sample(self.image, place)? / ALONG.len() as f32;
+                *value += sample(self.image, place)? / ALONG_SIDES.len() as f32;
             }
         }
         Some(values)
@@ -127,8 +127,9 @@ impl<'a> SeenSheet<'a> {
     /// What `count` outer squares show, of which every other one is bright; their print is sampled
     /// so far `within`.
     fn squares_end(&self, row: EndRow, count: usize, within: f32) -> SquaresEnd {
-        let squares: Vec<Option<[f32; 2]>> =
-            (0..count).map(|k| self.across(row, k as f32 - 0.5, [-within, BESIDE_END])).collect();
+        let squares: Vec<Option<[f32; 2]>> = (0..count)
+            .map(|k| self.across(row, k as f32 - 0.5, [-within, BESIDE_END_SIDES]))
+            .collect();
         let pairs = || {
             squares.windows(2).enumerate().filter_map(|(k, pair)| {
                 let [a, b] = [pair[0]?, pair[1]?];
@@ -156,7 +157,7 @@ impl<'a> SeenSheet<'a> {
             let Some([print, paper, gap, beyond]) = self.across(row, middle, places) else {
                 continue;
             };
-            let is_paper = |value: f32| (value - paper).abs() < ALIKE * (paper - print);
+            let is_paper = |value: f32| (value - paper).abs() < MOST_DIFFERENCE * (paper - print);
             seen += 1;
             ending += usize::from(is_paper(gap) && is_paper(beyond));
         }
@@ -182,8 +183,9 @@ impl SquaresEnd {
         if depth <= LEAST_CONTRAST * contrast {
             return;
         }
-        let all_alike =
-            |to: f32| [bright[1], dark[1]].iter().all(|value| (value - to).abs() < ALIKE * depth);
+        let all_alike = |to: f32| {
+            [bright[1], dark[1]].iter().all(|value| (value - to).abs() < MOST_DIFFERENCE * depth)
+        };
         self.seen += 1;
         self.bright += usize::from(all_alike(bright[0]));
         self.dark += usize::from(all_alike(dark[0]));

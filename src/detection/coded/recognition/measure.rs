@@ -11,7 +11,7 @@ use crate::imaging::gray::GrayView;
 /// Margins at which a marker's edge is searched for, in hundredths of a square's side.
 const MARGINS: std::ops::Range<usize> = 2..35;
 /// Places along a side, in parts of it, at which it is searched for: all within a marker.
-const ALONG: [f32; 5] = [0.4, 0.45, 0.5, 0.55, 0.6];
+const ALONG_PARTS: [f32; 5] = [0.4, 0.45, 0.5, 0.55, 0.6];
 
 /// Rows of a board of which no corner is seen.
 #[derive(Debug, Clone, Copy, Default)]
@@ -98,7 +98,7 @@ impl TargetDetector {
             };
             for margin in MARGINS {
                 let inward = margin as f32 / 100.0;
-                for along in ALONG {
+                for along in ALONG_PARTS {
                     add(margin, inward, along);
                     add(margin, 1.0 - inward, along);
                     add(margin, along, inward);

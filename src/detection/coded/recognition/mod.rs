@@ -25,13 +25,14 @@ use crate::geometry::target::{AprilGrid, CharucoBoard, Target};
 use crate::imaging::gray::GrayView;
 
 /// Gaps of grids of tags, in parts of a tag's side, with which a lattice is grown: what a grid
-/// truly has may differ by a tenth.
+/// truly has may differ by a tenth. Chosen, not swept.
 const SPACINGS: [f64; 4] = [0.3, 0.25, 0.2, 0.36];
-/// Sides of markers, in parts of a square's, at which payloads are sampled.
+/// Sides of markers, in parts of a square's, at which payloads are sampled. Chosen, not swept.
 const RATIOS: [f32; 6] = [0.5, 0.6, 0.67, 0.75, 0.82, 0.9];
-/// Lattices of fewer crossings are not read.
+/// Lattices of fewer crossings are not read. Chosen, not swept.
 pub const LEAST_CROSSINGS: usize = 9;
 /// Readings of a lattice that are followed up, those with most markers first: it bounds the time.
+/// Chosen, not swept.
 const MOST_READINGS: usize = 3;
 
 /// A board that was recognized.
