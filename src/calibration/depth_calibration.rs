@@ -67,8 +67,8 @@ impl DepthNoise {
     /// Least squares with both coefficients nonnegative.
     fn of(views: &[Vec<ComparedTile>]) -> Self {
         let pairs = || {
-            views.iter().flatten().map(|judged| {
-                (judged.plane.powi(-2), judged.tile.reading_std * judged.plane.powi(-2))
+            views.iter().flatten().map(|compared| {
+                (compared.plane.powi(-2), compared.tile.reading_std * compared.plane.powi(-2))
             })
         };
         let (mut n, mut q, mut qq, mut s, mut qs) = (0.0, 0.0, 0.0, 0.0, 0.0);
@@ -97,7 +97,7 @@ impl DepthCalibration {
             invalid,
             lens_std: (0..estimate.depth_covariance.nrows()).map(std).collect(),
             bias: bias(estimate),
-            noise: DepthNoise::of(&estimate.judged),
+            noise: DepthNoise::of(&estimate.compared),
             time_offset: estimate
                 .time_offset
                 .map(|offset| ExposureDelay { seconds: offset.seconds, std_s: offset.std_s }),
@@ -109,20 +109,20 @@ impl DepthCalibration {
 const RANGE_RATIO: f64 = 1.25;
 
 fn bias(estimate: &RgbdEstimate) -> Vec<DepthBias> {
-    let uncorrected = |judged: &ComparedTile| judged.tile.inverse_depth - judged.plane;
+    let uncorrected = |compared: &ComparedTile| compared.tile.inverse_depth - compared.plane;
     let after = match &estimate.depth.correction {
-        Some(correction) => held_out_residuals(&estimate.judged, correction, estimate.smoothness),
+        Some(correction) => held_out_residuals(&estimate.compared, correction, estimate.smoothness),
         None => None,
     };
     let after = after.unwrap_or_else(|| {
-        estimate.judged.iter().map(|view| view.iter().map(uncorrected).collect()).collect()
+        estimate.compared.iter().map(|view| view.iter().map(uncorrected).collect()).collect()
     });
     let mut bins: std::collections::BTreeMap<i32, (Vec<f64>, Vec<f64>)> =
         std::collections::BTreeMap::new();
-    for (judged, after) in estimate.judged.iter().flatten().zip(after.iter().flatten()) {
-        let bin = bins.entry((-judged.plane.ln() / RANGE_RATIO.ln()).floor() as i32).or_default();
-        bin.0.push(1.0 / judged.tile.inverse_depth - 1.0 / judged.plane);
-        bin.1.push(1.0 / (judged.plane + after) - 1.0 / judged.plane);
+    for (compared, after) in estimate.compared.iter().flatten().zip(after.iter().flatten()) {
+        let bin = bins.entry((-compared.plane.ln() / RANGE_RATIO.ln()).floor() as i32).or_default();
+        bin.0.push(1.0 / compared.tile.inverse_depth - 1.0 / compared.plane);
+        bin.1.push(1.0 / (compared.plane + after) - 1.0 / compared.plane);
     }
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
     let rms =

@@ -163,8 +163,8 @@ fn as_the_factory_has_it(
     camera: DepthCamera,
     color_from_depth: Pose,
 ) -> RgbdEstimate {
-    let judged = |(view, color_from_board): (&RgbdView, &Pose)| {
-        let judged =
+    let compared = |(view, color_from_board): (&RgbdView, &Pose)| {
+        let compared =
             planes(view, color_from_board, &camera.lens, &color_from_depth).map(|(tile, plane)| {
                 ComparedTile {
                     tile: *tile,
@@ -172,16 +172,16 @@ fn as_the_factory_has_it(
                     inverse_std: 1.0 / tile.reading_std.max(f64::MIN_POSITIVE),
                 }
             });
-        judged.collect()
+        compared.collect()
     };
-    let judged = problem.views.iter().zip(&estimate.color_from_board).map(judged).collect();
+    let compared = problem.views.iter().zip(&estimate.color_from_board).map(compared).collect();
     let count = camera.lens.parameters().len();
     RgbdEstimate {
         depth: camera,
         depth_covariance: DMatrix::zeros(count, count),
         color_from_depth,
         color_from_depth_covariance: Matrix6::zeros(),
-        judged,
+        compared,
         tried: Vec::new(),
         ..estimate.clone()
     }

@@ -248,9 +248,9 @@ const FACTOR_DEVIATION_RATIO: f64 = 0.3;
 fn scale_doubt(joint: &RgbdEstimate, board: &Target) -> Option<String> {
     let DepthReading::Metric { unit_m } = joint.depth.reading else { return None };
     let factor_of = |view: &Vec<ComparedTile>| {
-        median(view.iter().map(|judged| judged.plane / judged.tile.inverse_depth).collect())
+        median(view.iter().map(|compared| compared.plane / compared.tile.inverse_depth).collect())
     };
-    let of_views: Vec<f64> = joint.judged.iter().filter_map(factor_of).collect();
+    let of_views: Vec<f64> = joint.compared.iter().filter_map(factor_of).collect();
     let factor = median(of_views.clone())?;
     let off = (factor - 1.0).abs();
     let deviation = median(of_views.iter().map(|one| (one - factor).abs()).collect())?;
@@ -284,7 +284,8 @@ const CAUSE_SIGMAS: f64 = 3.0;
 /// depth camera along color's axis and to color's focal length; with the former's standard
 /// deviation in meters.
 fn factor_std(joint: &RgbdEstimate) -> Option<(f64, f64)> {
-    let distances = joint.judged.iter().flatten().map(|judged| 1.0 / judged.tile.inverse_depth);
+    let distances =
+        joint.compared.iter().flatten().map(|compared| 1.0 / compared.tile.inverse_depth);
     let distance_m = median(distances.collect())?;
     let along_m = joint.color_from_depth_covariance[(5, 5)].sqrt();
     let focal = joint.color_covariance[(0, 0)].sqrt() / joint.color.matrix.fx;

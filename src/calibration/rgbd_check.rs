@@ -32,8 +32,8 @@ const MOST_ROTATED_DEG: f64 = 45.0;
 /// [`RgbdError`]: another unit, depth that does not follow the board, a lens that no depth camera
 /// has, or sensors too far from each other for one device.
 pub(super) fn check_joint(joint: &RgbdEstimate, lens_from: DepthLens) -> Result<(), RgbdError> {
-    let tiles = || joint.judged.iter().flatten();
-    let factors = || tiles().map(|judged| judged.plane / judged.tile.inverse_depth);
+    let tiles = || joint.compared.iter().flatten();
+    let factors = || tiles().map(|compared| compared.plane / compared.tile.inverse_depth);
     let factor = median(factors().collect()).unwrap_or(1.0);
     let deviation =
         median(factors().map(|one| (one / factor - 1.0).abs()).collect()).unwrap_or(0.0);
@@ -45,18 +45,19 @@ pub(super) fn check_joint(joint: &RgbdEstimate, lens_from: DepthLens) -> Result<
             false => RgbdError::Disagree { percent: 100.0 },
         });
     }
-    let left = |judged: &ComparedTile| {
-        let inverse = judged.tile.inverse_depth;
+    let left = |compared: &ComparedTile| {
+        let inverse = compared.tile.inverse_depth;
         let corrected = joint
             .depth
             .correction
             .as_ref()
-            .map_or(Some(inverse), |c| c.correct(judged.tile.pixel, inverse));
-        corrected.map_or(f64::INFINITY, |corrected| (corrected / judged.plane - 1.0).abs())
+            .map_or(Some(inverse), |c| c.correct(compared.tile.pixel, inverse));
+        corrected.map_or(f64::INFINITY, |corrected| (corrected / compared.plane - 1.0).abs())
     };
     let middle = median(tiles().map(left).collect()).unwrap_or(0.0);
     if joint.following < LEAST_FOLLOWING_FRACTION || middle > MOST_REMAINING_DIFFERENCE {
-        let off = tiles().filter(|judged| left(judged) > MOST_REMAINING_DIFFERENCE).count() as f64
+        let off = tiles().filter(|compared| left(compared) > MOST_REMAINING_DIFFERENCE).count()
+            as f64
             / tiles().count().max(1) as f64;
         return Err(RgbdError::Disagree { percent: 100.0 * (1.0 - joint.following * (1.0 - off)) });
     }

@@ -6,12 +6,12 @@ use crate::calibration::result::{Finding, Grade, Verdict};
 use crate::calibration::rounded::{in_differing_digits, value_with_std};
 use crate::calibration::tag_spacing::TagSpacing;
 use crate::estimation::camera::CameraEstimate;
-use crate::estimation::correlated_coefficients::correlated_coefficients;
 use crate::estimation::lens_misfit::LensMisfit;
 use crate::estimation::lens_pole::has_pole;
 use crate::estimation::model_check::ModelCheck;
 use crate::estimation::other_minimum::OtherMinimum;
 use crate::estimation::uncertainty::UncertaintyMap;
+use crate::estimation::undetermined_coefficients::undetermined_coefficients;
 use crate::geometry::lens::Lens;
 
 /// The split-half ratio up to which a calibration is good, and usable: about 1 if the model is
@@ -317,7 +317,7 @@ fn correlated(estimate: &CameraEstimate) -> Option<Finding> {
         );
         return Some(Finding { grade: Grade::Good, reason });
     }
-    let names = correlated_coefficients(lens, &estimate.lens_std(), estimate.image_size);
+    let names = undetermined_coefficients(lens, &estimate.lens_std(), estimate.image_size);
     let which = match names.as_slice() {
         [one] => format!("{one} of the {} lens is", lens.model()),
         _ => format!("{} of the {} lens are", names.join(", "), lens.model()),

@@ -9,7 +9,7 @@ use crate::cli::files::{check_no_image, write_file};
 use crate::cli::{Failure, output};
 use crate::document::calibration::CalibrationDocument;
 use crate::document::time;
-use crate::estimation::correlated_coefficients::correlated_coefficients;
+use crate::estimation::undetermined_coefficients::undetermined_coefficients;
 use crate::export::{ExportOptions, Format, export};
 use crate::geometry::lens::Lens;
 
@@ -181,7 +181,7 @@ fn sensor_lines(name: &str, sensor: &ImageCalibration) -> Vec<String> {
         ),
     ];
     let names = Lens::parameter_names(model);
-    let together = correlated_coefficients(&sensor.lens, &sensor.lens_std, sensor.image_size);
+    let together = undetermined_coefficients(&sensor.lens, &sensor.lens_std, sensor.image_size);
     for ((name, value), std) in names.iter().zip(sensor.lens.parameters()).zip(&sensor.lens_std) {
         if *std > 0.0 || value != 0.0 {
             let note = if together.contains(name) { ", known only with the others" } else { "" };

@@ -216,9 +216,9 @@ impl<'a> FittedPart<'a> {
     fn lens_covariance(&self) -> DMatrix<f64> {
         let by_free = self.at().lens.all_by_free(self.lens());
         let mut covariance = &by_free * &self.of_lens.covariance * by_free.transpose();
-        if let Some(doubt) = &self.fit.shutter_uncertainty {
+        if let Some(step) = &self.fit.shutter_step {
             // The scatter between views already includes the shutter's part.
-            covariance += doubt * doubt.transpose() * (1.0 - self.of_lens.weight);
+            covariance += step * step.transpose() * (1.0 - self.of_lens.weight);
         }
         if let Some(between_models) = &self.fit.between_models {
             covariance += between_models;

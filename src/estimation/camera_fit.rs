@@ -25,9 +25,9 @@ pub(crate) struct CameraFit {
     /// Effects beyond lens and poses. With them, the points of `observations` are displaced by
     /// shape and motion.
     pub(crate) effects: Option<EffectsFit>,
-    /// Where a rolling shutter is likely but not significant: the change of the lens's parameters
-    /// with it, times the square root of its probability.
-    pub(crate) shutter_uncertainty: Option<DVector<f64>>,
+    /// Where a rolling shutter is likely but not significant: the step of the lens's parameters
+    /// that it would cause, times the square root of its probability.
+    pub(crate) shutter_step: Option<DVector<f64>>,
     /// Where the lens model was chosen: the covariance of all parameters of the lens from the other
     /// models, weighted by their probabilities ([`crate::estimation::model_averaging`]).
     pub(crate) between_models: Option<DMatrix<f64>>,
@@ -52,7 +52,7 @@ impl CameraFit {
             observations,
             faults,
             effects: None,
-            shutter_uncertainty: None,
+            shutter_step: None,
             between_models: None,
         }
     }

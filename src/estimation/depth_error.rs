@@ -204,13 +204,13 @@ const SMOOTH: [Smoothness; 3] = [
 
 /// The nearest and the farthest depth of the tiles.
 fn seen(views: &[Vec<ComparedTile>]) -> [f64; 2] {
-    let depths = || views.iter().flatten().map(|judged| 1.0 / judged.tile.inverse_depth);
+    let depths = || views.iter().flatten().map(|compared| 1.0 / compared.tile.inverse_depth);
     [depths().fold(f64::INFINITY, f64::min), depths().fold(0.0, f64::max)]
 }
 
 fn uncorrected(views: &[Vec<ComparedTile>]) -> f64 {
-    let squares = |judged: &ComparedTile| {
-        ((judged.tile.inverse_depth - judged.plane) * judged.inverse_std).powi(2)
+    let squares = |compared: &ComparedTile| {
+        ((compared.tile.inverse_depth - compared.plane) * compared.inverse_std).powi(2)
     };
     let count = views.iter().map(Vec::len).sum::<usize>().max(1);
     (views.iter().flatten().map(squares).sum::<f64>() / count as f64).sqrt()
@@ -226,30 +226,30 @@ struct Fold {
 /// quantity, in standard deviations, with the sign of 1/z.
 fn rows(
     correction: &DepthCorrection,
-    judged: &ComparedTile,
+    compared: &ComparedTile,
     columns: &mut Vec<(usize, f64)>,
 ) -> f64 {
     columns.clear();
-    correction_columns(correction, &judged.tile, |index, value| {
-        columns.push((index, value * judged.inverse_std));
+    correction_columns(correction, &compared.tile, |index, value| {
+        columns.push((index, value * compared.inverse_std));
     });
-    let measured = judged.tile.inverse_depth;
+    let measured = compared.tile.inverse_depth;
     let off = match correction.quantity {
-        CorrectedQuantity::InverseDepth => measured - judged.plane,
-        CorrectedQuantity::Depth => measured * measured * (1.0 / judged.plane - 1.0 / measured),
+        CorrectedQuantity::InverseDepth => measured - compared.plane,
+        CorrectedQuantity::Depth => measured * measured * (1.0 / compared.plane - 1.0 / measured),
     };
-    off * judged.inverse_std
+    off * compared.inverse_std
 }
 
 /// Corrected 1/z minus the plane's, in 1/m, where the error of the corrected quantity is `off`
 /// standard deviations ([`rows`]).
-fn off_plane(quantity: CorrectedQuantity, judged: &ComparedTile, off: f64) -> f64 {
-    let off = off / judged.inverse_std;
+fn off_plane(quantity: CorrectedQuantity, compared: &ComparedTile, off: f64) -> f64 {
+    let off = off / compared.inverse_std;
     match quantity {
         CorrectedQuantity::InverseDepth => off,
         CorrectedQuantity::Depth => {
-            let corrected_m = 1.0 / judged.plane - off / judged.tile.inverse_depth.powi(2);
-            1.0 / corrected_m - judged.plane
+            let corrected_m = 1.0 / compared.plane - off / compared.tile.inverse_depth.powi(2);
+            1.0 / corrected_m - compared.plane
         }
     }
 }
@@ -265,7 +265,7 @@ fn held_out(
     };
     let count = residuals.iter().map(Vec::len).sum::<usize>().max(1);
     let of_tile =
-        |(judged, residual): (&ComparedTile, &f64)| (judged.inverse_std * residual).powi(2);
+        |(compared, residual): (&ComparedTile, &f64)| (compared.inverse_std * residual).powi(2);
     let squares =
         views.iter().zip(&residuals).flat_map(|(view, residuals)| view.iter().zip(residuals));
     (squares.map(of_tile).sum::<f64>() / count as f64).sqrt()
@@ -295,8 +295,8 @@ fn folds(views: &[Vec<ComparedTile>], form: &DepthCorrection) -> Vec<Fold> {
     for (view, fold) in views.iter().zip(fold_of_each(views)) {
         let fold = &mut folds[fold];
         let mut products = SparseRowProducts::default();
-        for judged in view {
-            let residual = rows(form, judged, &mut columns);
+        for compared in view {
+            let residual = rows(form, compared, &mut columns);
             products.push(&columns, &mut fold.hessian);
             columns.iter().for_each(|(column, value)| fold.right[*column] -= value * residual);
         }
@@ -336,10 +336,10 @@ fn residuals_of(
     let fits = fits?;
     let each = views.iter().zip(fold_of_each(views)).map(|(view, fold)| {
         let coefficients = &fits[fold];
-        let residual = |judged: &ComparedTile| {
-            let before = rows(form, judged, &mut columns);
+        let residual = |compared: &ComparedTile| {
+            let before = rows(form, compared, &mut columns);
             let off = before + columns.iter().map(|(i, d)| d * coefficients[*i]).sum::<f64>();
-            off_plane(form.quantity, judged, off)
+            off_plane(form.quantity, compared, off)
         };
         view.iter().map(residual).collect()
     });
@@ -376,7 +376,8 @@ mod tests {
         let views = too_far();
         let form = DepthCorrection::none(CorrectedQuantity::Depth, 1, grid, seen(&views));
         let left = held_out_residuals(&views, &form, SMOOTH[0]).unwrap();
-        let left_m = |(judged, residual): (&ComparedTile, &f64)| residual / judged.plane.powi(2);
+        let left_m =
+            |(compared, residual): (&ComparedTile, &f64)| residual / compared.plane.powi(2);
         let worst_m = views
             .iter()
             .flatten()

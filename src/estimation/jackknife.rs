@@ -44,9 +44,9 @@ pub(crate) fn with_jackknife(
         // All solves use the same model, so they do not show its uncertainty.
         lens_covariance += between_models * weight;
     }
-    if let Some(doubt) = &fit.shutter_uncertainty {
+    if let Some(step) = &fit.shutter_step {
         // Restores the shutter's part to 1 − weight, as in the estimate.
-        lens_covariance += doubt * doubt.transpose() * (weight * (1.0 - weight));
+        lens_covariance += step * step.transpose() * (weight * (1.0 - weight));
     }
     CameraEstimate { lens_covariance, ..estimate }
 }

@@ -11,7 +11,8 @@
 //! | the least-squares problem itself | `joint` |
 //! | matrices over parameters of different orders of magnitude | `scaled_factor` |
 //! | which corners and views are inliers | `robust`, `robust_fit`, [`view_fault`] |
-//! | whether the model is right at all, and if not, why | [`model_check`], [`split_halves`], `misfit` |
+//! | whether the model is right at all, and if not, why | [`model_check`], [`split_halves`],
+//! `misfit` |
 //! | whether the errors of a view's corners are correlated | `clustered_covariance`, `jackknife` |
 //! | color and depth as one camera | [`rgbd`], [`depth_error`] |
 //! | how far to trust a projection | [`uncertainty`] |
@@ -27,7 +28,6 @@ pub(crate) mod camera_estimate;
 pub(crate) mod camera_fit;
 mod clustered_covariance;
 pub mod consistent_labels;
-pub mod correlated_coefficients;
 pub mod depth_error;
 pub mod dlt;
 mod effects;
@@ -66,6 +66,7 @@ mod starts_from_other_lenses;
 pub(crate) mod student;
 pub mod two_view;
 pub mod uncertainty;
+pub mod undetermined_coefficients;
 pub mod view_fault;
 pub mod view_motion;
 pub mod zhang;

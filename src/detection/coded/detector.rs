@@ -3,8 +3,8 @@
 
 use crate::detection::coded::answer::TargetDetection;
 use crate::detection::coded::chart::ChartPair;
+use crate::detection::coded::compared_crossing::ComparedCrossing;
 use crate::detection::coded::floor_limits::FloorLimits;
-use crate::detection::coded::held_crossing::HeldCrossing;
 use crate::detection::coded::labels::{BoardLabel, BoardLabels};
 use crate::detection::coded::last_target::LastTarget;
 use crate::detection::coded::lattice::{LatticeGrowth, LatticeScene};
@@ -53,7 +53,7 @@ pub struct TargetDetector {
     pub(super) grid: Grid,
     pub(super) spare: Grid,
     pub(super) reading: MarkerReading,
-    pub(super) held: Vec<HeldCrossing>,
+    pub(super) compared: Vec<ComparedCrossing>,
     pub(super) guesses: Vec<GridCorner>,
     pub(super) refined: Vec<Option<RefinedCorner>>,
     pub(super) refiner: Refiner,
@@ -139,7 +139,7 @@ impl TargetDetector {
             grid: Grid::default(),
             spare: Grid::default(),
             reading: MarkerReading::new(thresholds.labels),
-            held: Vec::new(),
+            compared: Vec::new(),
             guesses: Vec::new(),
             refined: Vec::new(),
             meeting: MeetingSides::default(),

@@ -3,8 +3,8 @@
 
 use crate::detection::board_detection::{BoardMarkers, GridIndex};
 use crate::detection::coded::answer::{LabeledCorner, TargetDetection};
+use crate::detection::coded::compared_crossing::ComparedCrossing;
 use crate::detection::coded::detector::TargetDetector;
-use crate::detection::coded::held_crossing::HeldCrossing;
 use crate::detection::coded::labels::BoardLabel;
 use crate::detection::coded::lattice::{CURVED, LatticeScene, off_lines, predict_curved, settle};
 use crate::detection::coded::print::LabeledPrint;
@@ -42,7 +42,7 @@ impl TargetDetector {
         self.refine(image, label);
         self.drop_displaced();
         let most = self.thresholds.marker_corners.most_refined_off;
-        if !self.drop_farthest(most, Self::hold_on_lines) {
+        if !self.drop_farthest(most, Self::compare_on_lines) {
             return None;
         }
         Some(self.detection(image, label)).filter(|detection| {
@@ -90,28 +90,28 @@ impl TargetDetector {
     }
 
     /// Drops the crossing that is farthest from where the others predict it, until all are within
-    /// `most`. Returns false if too many must go. The distances are left in `held`.
+    /// `most`. Returns false if too many must go. The distances are left in `compared`.
     pub(super) fn drop_misplaced(&mut self, most: f32) -> bool {
-        self.drop_farthest(most, Self::hold)
+        self.drop_farthest(most, Self::compare)
     }
 
-    /// The same, with `hold` to compare a crossing with the others.
+    /// The same, with `compare` to compare a crossing with the others.
     fn drop_farthest(
         &mut self,
         most: f32,
-        hold: fn(&mut Self, (i32, i32), f32) -> HeldCrossing,
+        compare: fn(&mut Self, (i32, i32), f32) -> ComparedCrossing,
     ) -> bool {
         let limits = self.thresholds.marker_corners;
         let budget = (limits.most_misplaced * self.grid.members.len() as f32) as usize + 1;
-        let mut held = std::mem::take(&mut self.held);
-        held.clear();
-        held.extend(self.grid.members.iter().map(|&at| HeldCrossing::unknown(at)));
+        let mut compared = std::mem::take(&mut self.compared);
+        compared.clear();
+        compared.extend(self.grid.members.iter().map(|&at| ComparedCrossing::unknown(at)));
         let mut holds = false;
         for _ in 0..=budget {
             let mut worst = (most, None);
-            for (index, crossing) in held.iter_mut().enumerate() {
+            for (index, crossing) in compared.iter_mut().enumerate() {
                 if !crossing.is_current {
-                    *crossing = hold(self, crossing.at, most);
+                    *crossing = compare(self, crossing.at, most);
                 }
                 if crossing.off > worst.0 {
                     worst = (crossing.off, Some(index));
@@ -121,26 +121,27 @@ impl TargetDetector {
                 holds = true;
                 break;
             };
-            let (i, j) = held.remove(index).at;
+            let (i, j) = compared.remove(index).at;
             self.grid.remove(i, j);
-            for crossing in &mut held {
+            for crossing in &mut compared {
                 let away = (crossing.at.0 - i).abs().max((crossing.at.1 - j).abs());
                 crossing.is_current &= away > crossing.reach;
             }
         }
-        self.held = held;
+        self.compared = compared;
         holds
     }
 
     /// The distance of the crossing `at` from where the others predict it.
-    fn hold(&mut self, at: (i32, i32), most: f32) -> HeldCrossing {
+    fn compare(&mut self, at: (i32, i32), most: f32) -> ComparedCrossing {
         let suspect_share = self.thresholds.marker_corners.suspect_share;
         let narrow = self.sheets.widths[0].min(self.sheets.widths[1]);
         let (expected, reach) = self.growth.predict_within(&self.sheets, &self.grid, at);
-        let held = HeldCrossing { reach: reach.max(CURVED), ..HeldCrossing::unknown(at) };
-        let held = HeldCrossing { is_current: true, ..held };
+        let compared =
+            ComparedCrossing { reach: reach.max(CURVED), ..ComparedCrossing::unknown(at) };
+        let compared = ComparedCrossing { is_current: true, ..compared };
         let (Some((expected, steps)), Some(node)) = (expected, self.grid.get(at.0, at.1)) else {
-            return held;
+            return compared;
         };
         let cell = steps.map(|step| step * narrow);
         let off_from = |expected| {
@@ -156,28 +157,32 @@ impl TargetDetector {
         }
         let off = if node.tight { off / suspect_share } else { off };
         let off_px = (node.pixel - expected).amax();
-        HeldCrossing { off, off_px, steps: Some(steps), ..held }
+        ComparedCrossing { off, off_px, steps: Some(steps), ..compared }
     }
 
     /// The same, if only distances beyond `most` matter: a crossing that is well within `most` of
     /// the continued lines next to it needs no homography, which takes ten times as long.
-    fn hold_on_lines(&mut self, at: (i32, i32), most: f32) -> HeldCrossing {
+    fn compare_on_lines(&mut self, at: (i32, i32), most: f32) -> ComparedCrossing {
         let is_suspect = self.grid.get(at.0, at.1).is_none_or(|node| node.tight);
         let is_near = |off: f32| off <= WELL_WITHIN_PART * most;
         if !is_suspect && off_lines(&self.sheets, &self.grid, at).is_some_and(is_near) {
-            return HeldCrossing { reach: CURVED, is_current: true, ..HeldCrossing::unknown(at) };
+            return ComparedCrossing {
+                reach: CURVED,
+                is_current: true,
+                ..ComparedCrossing::unknown(at)
+            };
         }
-        self.hold(at, most)
+        self.compare(at, most)
     }
 
-    /// Sets `guesses` to the crossings in `held`, for the refinement.
+    /// Sets `guesses` to the crossings in `compared`, for the refinement.
     pub(super) fn take_guesses(&mut self) {
         self.guesses.clear();
         let reach = self.sheets.reach();
-        self.held.sort_unstable_by_key(|held| (held.at.1, held.at.0));
-        for held in &self.held {
-            let (i, j) = held.at;
-            let (Some(p), Some([u, v])) = (self.grid.pixel(i, j), held.steps) else { continue };
+        self.compared.sort_unstable_by_key(|compared| (compared.at.1, compared.at.0));
+        for compared in &self.compared {
+            let (i, j) = compared.at;
+            let (Some(p), Some([u, v])) = (self.grid.pixel(i, j), compared.steps) else { continue };
             let pixel = |p: Vec2| Pixel::new(f64::from(p.x), f64::from(p.y));
             self.guesses.push(GridCorner {
                 index: GridIndex { col: i, row: j },
@@ -234,19 +239,19 @@ impl TargetDetector {
         displaced.into_iter().for_each(|(i, j)| self.grid.remove(i, j));
     }
 
-    /// Drops those crossings in `held` that a search would report only after refining them.
+    /// Drops those crossings in `compared` that a search would report only after refining them.
     pub(super) fn drop_unfit(&mut self) {
         let limits = self.thresholds.marker_corners;
         let most_px = (limits.most_standing_off * limits.standing_std_px) as f32;
-        let held = std::mem::take(&mut self.held);
-        for &HeldCrossing { at, off_px, .. } in &held {
+        let compared = std::mem::take(&mut self.compared);
+        for &ComparedCrossing { at, off_px, .. } in &compared {
             let stands =
                 self.grid.get(at.0, at.1).is_some_and(|it| it.score >= limits.standing_score);
             if !stands || off_px > most_px && self.is_displaced(at) {
                 self.grid.remove(at.0, at.1);
             }
         }
-        self.held = held;
+        self.compared = compared;
     }
 
     /// Whether a crossing that is not refined is too far from where its neighbors predict it.

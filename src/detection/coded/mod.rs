@@ -9,15 +9,19 @@
 //! | sheet | `sheet` | what a target prints: lines, cells, the codes of its markers |
 //! | order | `order` | which crossings to start from |
 //! | open square | `open_square` | a square of which three corners are candidates |
-//! | lattice | `chart`, `lattice` | from one cell to the next crossing, where the nearest ones put it |
+//! | lattice | `chart`, `lattice` | from one cell to the next crossing, where the nearest ones put
+//! it |
 //! | floor | `floor_limits`, `floor` | what is spent on lattices larger than the board |
 //! | reading | `reading` | how well each marker cell agrees with each code |
-//! | labels | `labels` | the place in the board that most cells agree on, far more than with any other |
+//! | labels | `labels` | the place in the board that most cells agree on, far more than with any
+//! other |
 //! | ends | `ends` | which of two places it is, where only the board's ends distinguish them |
-//! | print | `print`, `curved_chart` | what the markers add to the image near each crossing, for the refinement |
+//! | print | `print`, `curved_chart` | what the markers add to the image near each crossing, for
+//! the refinement |
 //! | detector | `detector`, `finish` | levels, completion by the labeled board, refinement |
-//! | meeting sides | `meeting_sides`, `edge_line` | corners that something small lies on, from the sides that meet in them |
-//! | other scales | `other_scales` | two thirds of each level and twice the image, where the levels show no target |
+//! | meeting sides | `meeting_sides`, `edge_line` | corners that something small lies on, from the
+//! sides that meet in them | | other scales | `other_scales` | two thirds of each level and twice
+//! the image, where the levels show no target |
 //! | tracking | `tracking`, `offset_search` | the board of the last image, a little farther on |
 //! | recognition | `recognition` | which board it is, where none was asked for |
 //!
@@ -27,6 +31,7 @@
 pub mod answer;
 mod chart;
 mod code_columns;
+mod compared_crossing;
 mod curved_chart;
 pub mod detector;
 mod edge_line;
@@ -34,7 +39,6 @@ mod ends;
 mod finish;
 mod floor;
 mod floor_limits;
-mod held_crossing;
 mod homography_equations;
 mod labeling;
 mod labels;

@@ -26,7 +26,7 @@ const LEAST_EXTENT: f64 = 0.5;
 
 /// The curvature of one edge in its corner's window, beyond that of the fit.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct EdgeCurvature {
+pub(super) struct ExcessCurvature {
     /// How much it exceeds that of the fit, towards the edge's normal, in 1/px.
     pub excess: f64,
     /// Its variance, in 1/px².
@@ -42,7 +42,7 @@ pub(super) fn edge_curvatures(
     columns: &ModelColumns,
     fit: &CornerFit,
     window: &Window,
-) -> [Option<EdgeCurvature>; 2] {
+) -> [Option<ExcessCurvature>; 2] {
     let asked = window.extent.map(|extent| extent >= LEAST_EXTENT);
     if asked == [false; 2] {
         return [None; 2];
@@ -68,7 +68,7 @@ pub(super) fn edge_curvatures(
         let known = asked[edge]
             && variance > 0.0
             && (excess + variance + move_px2[0] + move_px2[1]).is_finite();
-        known.then_some(EdgeCurvature { excess, variance, move_px2 })
+        known.then_some(ExcessCurvature { excess, variance, move_px2 })
     })
 }
 

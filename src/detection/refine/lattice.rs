@@ -3,7 +3,7 @@
 
 use crate::detection::board_detection::GridIndex;
 use crate::detection::refine::corner_model::length;
-use crate::detection::refine::edge_curvature::EdgeCurvature;
+use crate::detection::refine::edge_curvature::ExcessCurvature;
 use crate::detection::refine::field::{BoardField, FieldSample};
 use crate::detection::refine::grid_corner::GridCorner;
 use crate::detection::refine::stepped_field::SteppedFit;
@@ -121,7 +121,7 @@ impl Lattice {
         &mut self,
         axis: usize,
         variance_px2: f64,
-        own: impl Iterator<Item = (GridIndex, EdgeCurvature)>,
+        own: impl Iterator<Item = (GridIndex, ExcessCurvature)>,
     ) -> Option<BoardField> {
         let mut own = own.peekable();
         if self.by_neighbors[axis].is_empty() || own.peek().is_none() {

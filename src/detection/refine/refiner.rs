@@ -3,7 +3,7 @@
 use crate::detection::refine::alignment::AlignedSamples;
 use crate::detection::refine::corner_model::{CornerModel, length};
 use crate::detection::refine::corner_std::CornerStd;
-use crate::detection::refine::edge_curvature::{EdgeCurvature, edge_curvatures};
+use crate::detection::refine::edge_curvature::{ExcessCurvature, edge_curvatures};
 use crate::detection::refine::fit::{FitOptions, fit};
 use crate::detection::refine::fitted::Fitted;
 use crate::detection::refine::grid_corner::GridCorner;
@@ -48,7 +48,7 @@ pub struct Refiner {
     pub(super) fitted: Vec<Option<Fitted>>,
     pub(super) known: Vec<Option<FittedCorner>>,
     /// For each corner, the excess curvature of its edges in its own window.
-    edge_curvatures: Vec<[Option<EdgeCurvature>; 2]>,
+    edge_curvatures: Vec<[Option<ExcessCurvature>; 2]>,
     /// Variances of the first fits' positions.
     variances_px2: Vec<f64>,
     pub(super) patch: PrintPatch,

@@ -25,12 +25,11 @@ pub(crate) fn with_effects_from(
 ) -> CameraFit {
     let Some(candidates) = candidates(&fit, options) else { return fit };
     let sides = [size.width, size.height].map(f64::from);
-    let Some(Effects { found, shutter_uncertainty }) = fit_effects(&fit, found, sides, candidates)
-    else {
+    let Some(Effects { found, shutter_step }) = fit_effects(&fit, found, sides, candidates) else {
         return fit;
     };
     let with = found.and_then(|found| continued(&fit, size, found));
-    CameraFit { shutter_uncertainty, ..with.unwrap_or(fit) }
+    CameraFit { shutter_step, ..with.unwrap_or(fit) }
 }
 
 /// Continues a plain fit with the same effects that were `found` with another lens on the same

@@ -36,8 +36,8 @@ impl Corners {
 pub(crate) struct Effects {
     /// `None` where they show no effect.
     pub(crate) found: Option<(EffectsFit, Corners)>,
-    /// As [`CameraFit::shutter_uncertainty`].
-    pub(crate) shutter_uncertainty: Option<DVector<f64>>,
+    /// As [`CameraFit::shutter_step`].
+    pub(crate) shutter_step: Option<DVector<f64>>,
 }
 
 /// Fewer views than this determine nothing beyond lens and poses.
@@ -84,10 +84,10 @@ pub(crate) fn fit_effects(
         limit: plain.robust.limit,
     };
     let scene = Scene { good: &good, ..whole };
-    let ShutterComparison { search, without, shutter_uncertainty } =
+    let ShutterComparison { search, without, shutter_step } =
         start.without_outlier_views(comparison, &mut chosen, (scene, candidates, width))?;
     if search.variances.0.is_empty() {
-        return Some(Effects { found: None, shutter_uncertainty });
+        return Some(Effects { found: None, shutter_step });
     }
     // Where the shutter has only a part of the weight, readmitted views that motion explains would
     // be outliers of the model without it.
@@ -96,13 +96,13 @@ pub(crate) fn fit_effects(
     let scene = Scene { observations: &corners.observations, good: &good, ..whole };
     let found = search.finished(scene)?;
     let Some(GlobalShutterFit { global_shutter, shutter_test }) = without else {
-        return Some(Effects { found: Some((found, corners)), shutter_uncertainty });
+        return Some(Effects { found: Some((found, corners)), shutter_step });
     };
     let global_shutter = global_shutter.reconverged(scene)?.finished(scene)?;
     let difference = lens_difference(found.lens(), global_shutter.lens());
-    let shutter_uncertainty = Some(difference * shutter_test.error());
+    let shutter_step = Some(difference * shutter_test.error());
     let found = found.averaged_with(&global_shutter, &basis, shutter_test.agreement)?;
-    Some(Effects { found: Some((found, corners)), shutter_uncertainty })
+    Some(Effects { found: Some((found, corners)), shutter_step })
 }
 
 /// The same effects that were `found` with another lens, estimated with the lens of a plain fit to
@@ -177,7 +177,7 @@ impl SearchStart<'_> {
     ) -> Option<ShutterComparison> {
         let search = self.converged(scene, candidates)?;
         if !search.moves() || candidates.is_motion_required {
-            return Some(ShutterComparison { search, without: None, shutter_uncertainty: None });
+            return Some(ShutterComparison { search, without: None, shutter_step: None });
         }
         let global_shutter = || {
             self.converged_or_without_effects(
@@ -358,7 +358,7 @@ struct ShutterComparison {
     search: EffectSearch,
     /// The result to average it with.
     without: Option<GlobalShutterFit>,
-    shutter_uncertainty: Option<DVector<f64>>,
+    shutter_step: Option<DVector<f64>>,
 }
 
 impl ShutterComparison {
@@ -371,15 +371,15 @@ impl ShutterComparison {
     ) -> Option<Self> {
         let shutter_test = search.test_rolling_shutter(scene, width)?;
         if shutter_test.is_shown {
-            return Some(Self { search, without: None, shutter_uncertainty: None });
+            return Some(Self { search, without: None, shutter_step: None });
         }
         let global_shutter = global_shutter()?;
         if shutter_test.agreement > 0.0 {
             let without = Some(GlobalShutterFit { global_shutter, shutter_test });
-            return Some(Self { search, without, shutter_uncertainty: None });
+            return Some(Self { search, without, shutter_step: None });
         }
-        let shutter_uncertainty =
+        let shutter_step =
             Some(lens_difference(search.lens(), global_shutter.lens()) * shutter_test.error());
-        Some(Self { search: global_shutter, without: None, shutter_uncertainty })
+        Some(Self { search: global_shutter, without: None, shutter_step })
     }
 }

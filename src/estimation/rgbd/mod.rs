@@ -158,8 +158,8 @@ fn fit_correction(
     let mut fit = planes.fit(start, base, BASE_SMOOTHNESS).ok_or_else(|| no_fit(problem))?;
     let mut tried = Vec::new();
     for _ in 0..rounds {
-        let judged = planes.judged(&fit);
-        let choice = choose_correction(&judged, size, &problem.corrected, &problem.interrupt);
+        let compared = planes.compared(&fit);
+        let choice = choose_correction(&compared, size, &problem.corrected, &problem.interrupt);
         let none = DepthCorrection::none(quantity, 0, SplineGrid::constant(size), planes.seen_m());
         let smoothness = if choice.form.is_some() { choice.smoothness } else { BASE_SMOOTHNESS };
         let form = choice.form.unwrap_or(none);

@@ -303,7 +303,7 @@ impl<'a> Planes<'a> {
     }
 
     /// Each inlier tile, with the 1/z that it should have measured.
-    pub(super) fn judged(&self, fit: &Fit) -> Vec<Vec<ComparedTile>> {
+    pub(super) fn compared(&self, fit: &Fit) -> Vec<Vec<ComparedTile>> {
         let mut views = vec![Vec::new(); self.problem.views.len()];
         for plane in &self.planes {
             let depth_from_board = fit.state.sensor_from_board(1, plane.frame_set);
@@ -371,7 +371,7 @@ impl<'a> Planes<'a> {
             board_from_later: corners.board_from_later(),
             following: self.following(),
             tile_noise: fit.tile_noise,
-            judged: self.judged(fit),
+            compared: self.compared(fit),
             smoothness: fit.smoothness,
             tried,
         })
@@ -392,7 +392,7 @@ impl<'a> Planes<'a> {
             color_from_depth: fit.state.sensor_from_rig[1].inverse(),
             following: self.following(),
             tile_noise: fit.tile_noise,
-            judged: self.judged(fit),
+            compared: self.compared(fit),
             smoothness: fit.smoothness,
             tried,
             ..estimate.clone()

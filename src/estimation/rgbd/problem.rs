@@ -105,7 +105,7 @@ pub struct RgbdEstimate {
     /// By how much tiles scatter more than their own readings.
     pub tile_noise: f64,
     /// Per view, the measured and the expected value of each inlier tile, with its noise.
-    pub judged: Vec<Vec<ComparedTile>>,
+    pub compared: Vec<Vec<ComparedTile>>,
     /// The smoothness prior of the correction.
     pub smoothness: Smoothness,
     /// Corrections that were tried.

@@ -1,5 +1,5 @@
-//! The coefficients of a lens that its views determine only in combination: they are correlated, so
-//! that projections are known while single values are not.
+//! The coefficients of a lens that its views determine only in combination: projections are known
+//! while single values are not.
 
 use nalgebra::Point3;
 
@@ -12,16 +12,16 @@ use crate::geometry::pixel::{ImageSize, Pixel};
 /// with all coefficients at 0 are left out.
 ///
 /// ```
-/// use plumb::estimation::correlated_coefficients::correlated_coefficients;
+/// use plumb::estimation::undetermined_coefficients::undetermined_coefficients;
 /// use plumb::geometry::lens::{Lens, LensModel};
 /// use plumb::geometry::pixel::ImageSize;
 ///
 /// let brown = [700.0, 700.0, 320.0, 240.0, 0.0, -0.3, 0.1, 0.0, 0.0, 0.0];
 /// let lens = Lens::from_parameters(LensModel::Brown, &brown).expect("ten parameters");
 /// let std = [1.0, 1.0, 1.0, 1.0, 0.0, 0.01, 20.0, 1e-4, 1e-4, 60.0];
-/// assert_eq!(correlated_coefficients(&lens, &std, ImageSize::new(640, 480)), ["k2", "k3"]);
+/// assert_eq!(undetermined_coefficients(&lens, &std, ImageSize::new(640, 480)), ["k2", "k3"]);
 /// ```
-pub fn correlated_coefficients(
+pub fn undetermined_coefficients(
     lens: &Lens,
     lens_std: &[f64],
     size: ImageSize,
@@ -67,9 +67,9 @@ mod tests {
         let lens = Lens::from_parameters(LensModel::KannalaBrandt, &parameters).unwrap();
         let std = [1.0, 1.0, 1.0, 1.0, 0.0, 0.021, 0.22, 0.9, 4.5];
         let size = ImageSize::new(640, 480);
-        assert!(correlated_coefficients(&lens, &std, size).is_empty());
+        assert!(undetermined_coefficients(&lens, &std, size).is_empty());
         let wide = std.map(|std| 20.0 * std);
-        assert_eq!(correlated_coefficients(&lens, &wide, size), ["k2", "k3", "k4"]);
+        assert_eq!(undetermined_coefficients(&lens, &wide, size), ["k2", "k3", "k4"]);
     }
 
     #[test]
@@ -79,7 +79,7 @@ mod tests {
         let lens = Lens::from_parameters(LensModel::Rational, &parameters).unwrap();
         let std =
             [1.1, 2.3, 0.8, 0.9, 0.0, 256.0, 1250.0, 0.0003, 0.0004, 109.0, 256.0, 1175.0, 111.0];
-        let names = correlated_coefficients(&lens, &std, ImageSize::new(1280, 1024));
+        let names = undetermined_coefficients(&lens, &std, ImageSize::new(1280, 1024));
         assert_eq!(names, ["k1", "k2", "k3", "k4", "k5", "k6"]);
     }
 }

@@ -4,7 +4,7 @@ use crate::detection::vec2::Vec2;
 
 /// A crossing, and its distance from where the others predict it.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct HeldCrossing {
+pub(super) struct ComparedCrossing {
     pub(super) at: (i32, i32),
     /// That distance, in narrow intervals; scaled up for a suspect crossing.
     pub(super) off: f32,
@@ -18,7 +18,7 @@ pub(super) struct HeldCrossing {
     pub(super) is_current: bool,
 }
 
-impl HeldCrossing {
+impl ComparedCrossing {
     /// Nothing known yet.
     pub(super) fn unknown(at: (i32, i32)) -> Self {
         Self { at, off: 0.0, off_px: 0.0, steps: None, reach: 0, is_current: false }
