@@ -174,7 +174,7 @@ fn a_camera_whose_frames_are_of_other_moments_costs_the_others_nothing() {
     within_prediction(&solved.extrinsics[0], &camera_from_first()[1].inverse());
     assert_eq!((solved.sensors.len(), solved.verdict.grade), (3, Grade::Poor));
     let reason = solved.verdict.reasons.iter().find(|reason| reason.contains("`far`")).unwrap();
-    assert!(reason.contains("in no frame set: give it the frames"), "{reason}");
+    assert!(reason.contains("in no frame set: give frames"), "{reason}");
 }
 
 /// Without noise, as in a recording of a still image: the left camera sees exactly what it saw

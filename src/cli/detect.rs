@@ -158,7 +158,7 @@ impl CodedLine {
             notes.push_str(", legacy layout");
         }
         if self.inverted {
-            notes.push_str(", black and white exchanged");
+            notes.push_str(", black and white inverted");
         }
         notes
     }

@@ -150,7 +150,7 @@ pub enum NoBoard {
     #[error(transparent)]
     Target(#[from] NoTarget),
     /// Part of the board, because the rest is beyond the image's border.
-    #[error("cut off: the image's border leaves {seen} of {board}'s {} corners; bring the whole board into view, or allow partial boards", board.corner_count())]
+    #[error("cut off at the image border: {seen} of the {board} board's {} corners are visible; bring the whole board into view, or allow partial boards", board.corner_count())]
     CutOff {
         /// How many corners were seen.
         seen: usize,
@@ -158,7 +158,7 @@ pub enum NoBoard {
         board: BoardSize,
     },
     /// Part of the board, where the whole was asked for.
-    #[error("only {seen} of {board}'s {} corners are seen; uncover the board, or allow partial boards", board.corner_count())]
+    #[error("occluded: {seen} of the {board} board's {} corners are visible; uncover the board, or allow partial boards", board.corner_count())]
     Incomplete {
         /// How many corners were seen.
         seen: usize,
@@ -217,11 +217,11 @@ impl NoBoard {
 fn largest_grid(cols: u32, rows: u32) -> String {
     match (cols, rows) {
         (0, _) | (_, 0) => {
-            "no grid of them: is a chessboard in view, flat and not too small?".to_owned()
+            "they form no grid: is a chessboard in view, flat and not too small?".to_owned()
         }
         _ => {
             format!(
-                "no more than {cols}x{rows} of them form a grid; show more of the board, nearer and in even light"
+                "the largest grid is {cols}x{rows}; show more of the board, nearer and in even light"
             )
         }
     }
@@ -242,14 +242,10 @@ mod tests {
     fn no_grid_and_a_small_grid_have_different_messages() {
         let message = |cols, rows| NoBoard::NoGrid { corners: 57, cols, rows }.to_string();
         assert!(
-            message(0, 0).starts_with("57 chessboard-like corners seen, but no grid of them"),
+            message(0, 0).starts_with("57 chessboard-like corners seen, but they form no grid"),
             "{}",
             message(0, 0)
         );
-        assert!(
-            message(4, 3).contains("no more than 4x3 of them form a grid"),
-            "{}",
-            message(4, 3)
-        );
+        assert!(message(4, 3).contains("the largest grid is 4x3"), "{}", message(4, 3));
     }
 }

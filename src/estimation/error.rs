@@ -58,7 +58,7 @@ pub enum EstimationError {
     },
     /// A given parameter that no lens has for images of this size.
     #[error(
-        "{name} cannot be {value} px for {size} images, only {:.0} to {:.0} px: {why}; give it in pixels of these images",
+        "{name} = {value} px is impossible for {size} images ({:.0} to {:.0} px: {why}); give it in pixels of these images",
         range[0],
         range[1]
     )]
@@ -76,7 +76,7 @@ pub enum EstimationError {
     },
     /// Not enough views to determine the lens.
     #[error(
-        "{usable} usable views are too few: {needed} are needed, with the board tilted differently in each{rejected}"
+        "only {usable} usable views; {needed} are needed, with the board tilted differently in each{rejected}"
     )]
     TooFewViews {
         /// Views that could be used.
@@ -88,12 +88,12 @@ pub enum EstimationError {
     },
     /// The board was never tilted.
     #[error(
-        "the board is parallel to itself in all views, which leaves the focal length open: tilt it by 20 to 45 degrees in different directions"
+        "the board has the same orientation in all views, so the focal length is not determined: tilt it by 20 to 45 degrees in different directions"
     )]
     ParallelViews,
     /// B of Zhang's method is not positive definite.
     #[error(
-        "no camera matrix fits these homographies: the lens distorts the image too strongly for the closed form, or corners are mislabeled"
+        "no camera matrix fits these homographies: the distortion is too strong for the closed-form solution, or corners are mislabeled; check the order of the corners, and add views with the board near the image center"
     )]
     NoCameraMatrix,
     /// No start led to a plausible camera.
@@ -102,9 +102,7 @@ pub enum EstimationError {
     )]
     NoFit,
     /// A parameter that these views do not determine.
-    #[error(
-        "these views leave {parameter} open (its standard deviation is {std:.3e} at a value of {value:.3e}): {remedy}"
-    )]
+    #[error("these views do not determine {parameter} ({value:.3e} ± {std:.3e}): {remedy}")]
     Undetermined {
         /// The weakest parameter's name.
         parameter: &'static str,
@@ -117,7 +115,7 @@ pub enum EstimationError {
     },
     /// A coefficient that has the same effect as the others and the focal lengths together.
     #[error(
-        "these views do not determine {parameter} of a {model} lens: near 0 it changes images as focal lengths and other coefficients do, all the more where the lens is nearly a pinhole; calibrate with --lens {instead}, which they determine, or hold it, as with --given {parameter}=0"
+        "these views do not determine {parameter} of a {model} lens: near 0 its effect is nearly that of the focal lengths and other coefficients, especially if the lens is nearly a pinhole; calibrate with --lens {instead}, which the views determine, or hold it fixed with --given {parameter}=0"
     )]
     OpenCoefficient {
         /// The lens model.
@@ -129,7 +127,7 @@ pub enum EstimationError {
     },
     /// A measured board that lacks one of the observed corners.
     #[error(
-        "the measured board has no corner at ({x_m:.4}, {y_m:.4}) m: give the measurement of this board, of the same corners and the same square"
+        "the measured board has no corner at ({x_m:.4}, {y_m:.4}) m: give a shape that was measured on this board, with the same corners and the same square size"
     )]
     OtherBoard {
         /// Where the corner is stated, in the board frame, in meters.
@@ -138,10 +136,10 @@ pub enum EstimationError {
         y_m: f64,
     },
     /// An interrupt was requested: the result is no longer needed.
-    #[error("the computation was ended before it had a result: start it again")]
+    #[error("the computation was canceled: start it again")]
     Interrupted,
     /// A view that determines no pose.
-    #[error("view `{view}` determines no pose: {reason}")]
+    #[error("no pose can be estimated for view `{view}`: {reason}")]
     NoPose {
         /// The view's name.
         view: String,
@@ -158,7 +156,7 @@ pub enum EstimationError {
     },
     /// A sensor of a rig whose every view is inconsistent with the others.
     #[error(
-        "sensor `{sensor}` has the board where the others have it in no frame set: give it the frames that were taken when theirs were, of a rig whose sensors are fixed to each other"
+        "the board poses of sensor `{sensor}` agree with those of the other sensors in no frame set: give frames that were taken at the same time, from sensors that are rigidly mounted"
     )]
     NothingAgrees {
         /// The sensor's name.
@@ -166,7 +164,7 @@ pub enum EstimationError {
     },
     /// The direct linear transform takes one view.
     #[error(
-        "{views} views were given to the direct linear transform: give one, or leave out the method"
+        "the direct linear transform takes one view, not {views}: give one, or omit \"method\": \"dlt\""
     )]
     NotOneView {
         /// How many were given.
@@ -183,7 +181,7 @@ pub enum EstimationError {
     /// The points lie on a plane, a line, or with the camera on a surface that determines no
     /// projection.
     #[error(
-        "the points lie on one plane (or nearly), which determines no projection matrix: add points at other depths, or give several views of the plane and leave out the method"
+        "the points are (nearly) coplanar, which does not determine a projection matrix: add points at other depths, or give several views of the plane without \"method\": \"dlt\""
     )]
     Coplanar,
 }

@@ -39,8 +39,9 @@ pub fn check_given_range(given: &[GivenParameter], size: ImageSize) -> Result<()
 }
 
 const FOCAL: &str =
-    "beyond these they would show less than 0.01 degrees, or all the world in a spot";
-const PRINCIPAL: &str = "the principal point lies in them, or at most ten of their sizes beside them where they are parts of larger ones";
+    "outside this range the field of view would be below 0.01 degrees, or the whole world a spot";
+const PRINCIPAL: &str =
+    "the principal point is inside the image or, for a crop, at most ten image sizes outside it";
 
 /// From the field of view: a small circle with all directions, or nearly a single direction.
 fn focal_range(size: ImageSize) -> [f64; 2] {

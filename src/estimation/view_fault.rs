@@ -18,7 +18,7 @@ pub enum ViewFault {
     },
     /// A duplicate: it carries no new information, and counting it would understate every
     /// uncertainty.
-    #[error("a copy of view {number} of these: it counts once")]
+    #[error("a duplicate of view {number}: it counts once")]
     Copied {
         /// The number of the original view, from 1.
         number: usize,
@@ -37,7 +37,7 @@ pub enum ViewFault {
     Shifted(GridLine),
     /// Rotated by half a turn relative to the rig's other sensors.
     #[error(
-        "rotated by half a turn: its first corner is not the one that the other sensors call first"
+        "labels rotated by 180 degrees: its first corner is not the first corner of the other sensors"
     )]
     HalfTurn,
     /// Labeled along the columns.
@@ -45,14 +45,14 @@ pub enum ViewFault {
     Transposed,
     /// No pose fits it.
     #[error(
-        "no pose explains its corners (rms {rms_px:.1} px): they are mislabeled, or it is another board"
+        "no board pose fits its corners (rms {rms_px:.1} px): they are mislabeled, or from another board"
     )]
     NoPose {
         /// Rms of its residuals at the best pose.
         rms_px: f64,
     },
     /// Too many corners are outliers.
-    #[error("{outliers} of its {points} corners are further off than {limit_px:.2} px")]
+    #[error("{outliers} of its {points} corners have residuals above {limit_px:.2} px")]
     Outliers {
         /// Number of outliers.
         outliers: usize,
@@ -63,7 +63,7 @@ pub enum ViewFault {
     },
     /// It fits best with a motion that is incompatible with the other views.
     #[error(
-        "by its corners the board moved {times:.1} times as far as the other views let expect while it was read, and they do not fit then either: mirrored, or of another camera"
+        "its corners imply {times:.1} times the board motion during readout that the other views predict, and do not fit even with that motion: the image is mirrored, or from another camera"
     )]
     OddMotion {
         /// Relative to the root mean square that the other views show.

@@ -56,7 +56,7 @@ pub enum RegionError {
     },
     /// Width and height are scaled differently, which requires a crop or a stretch.
     #[error(
-        "{from} scaled to {to} would stretch the image: say which region of {from} it shows, or give the same shape"
+        "{from} scaled to {to} would stretch the image: give the region of {from} that it shows, or a size of the same aspect ratio"
     )]
     Stretched {
         /// The size of the calibrated images.

@@ -37,7 +37,7 @@ impl fmt::Display for NoImage {
         write!(f, "it holds {there} alone, and its color image is missing: ")?;
         let Some(name) = &self.name else {
             return f.write_str(
-                "see that color is delivered (in a recording: on a topic of its own) with the same times",
+                "check that color is delivered (in a recording: on its own topic) with the same timestamps",
             );
         };
         let color = SensorKind::Color.name();

@@ -491,7 +491,7 @@ fn a_board_is_not_named_as_whole_where_its_last_row_may_be_hidden() {
             let part = recognize(cover_beyond(&seen, line, gray).view());
             let part = part.unwrap_or_else(|| panic!("{target}, {gray}: nothing"));
             assert!(part.may_go_on, "{target}, its last row covered, is named {part}");
-            let words = "or more rows, hidden or beyond the image";
+            let words = "possibly more rows, occluded or outside the image";
             assert!(part.to_string().contains(words), "{part}");
         }
     }

@@ -49,7 +49,7 @@ fn a_board_with_markers_is_named_where_a_chessboard_is_asked_for() {
         let (image, _) = image(&shown, 402);
         let mut finder = TargetFinder::new(&asked);
         let reason = reason_of(&mut finder, &image);
-        assert!(reason.contains(name) && reason.contains("than the 9x6 chessboard"), "{reason}");
+        assert!(reason.contains(name) && reason.contains("not the 9x6 chessboard"), "{reason}");
         for _ in 0..3 {
             let none = finder.track(image.view(), &options).expect_err("another board");
             assert_eq!(none.to_string(), reason);

@@ -15,7 +15,7 @@ pub enum NoTarget {
     },
     /// Crossings do not form a lattice.
     #[error(
-        "{corners} crossings of black and white seen, but no lattice of them; is the {target} in view, flat and not too small?"
+        "{corners} chessboard-like corners seen, but they form no grid; is the {target} in view, flat and not too small?"
     )]
     NoLattice {
         /// How many crossings were seen.
@@ -25,7 +25,7 @@ pub enum NoTarget {
     },
     /// A lattice whose cells show no marker of the target.
     #[error(
-        "a lattice of {cols}x{rows} corners{} is seen, but its cells show no markers of the {target}: a plain chessboard, another dictionary or another board?",
+        "a grid of {cols}x{rows} corners{} is seen, but no marker of the {target} is read in it: is it a plain chessboard, another dictionary or another board?",
         if *goes_on { " or more" } else { "" }
     )]
     NoMarkers {
@@ -40,7 +40,7 @@ pub enum NoTarget {
     },
     /// Markers at places where the target does not have them.
     #[error(
-        "a board with {markers} markers of the same dictionary is seen, but not in the places that the {target} has them: check its size, first_id and dictionary"
+        "{markers} markers of the same dictionary are seen, but not at their positions on the {target}: check its size, first_id and dictionary"
     )]
     OtherBoard {
         /// How many markers show that.
@@ -50,7 +50,7 @@ pub enum NoTarget {
     },
     /// The mirror image of the target's markers.
     #[error(
-        "{markers} markers of the {target} are seen in mirror image: have the camera or its driver not flip the image"
+        "{markers} markers of the {target} are seen in mirror image: disable image flipping in the camera or its driver"
     )]
     Mirrored {
         /// How many markers show that.
@@ -60,7 +60,7 @@ pub enum NoTarget {
     },
     /// Another board with markers was recognized.
     #[error(
-        "another board than the {target} is seen: {seen}; give the target that is seen, or show the other"
+        "another board is in view, not the {target}: {seen}; specify that board, or show the specified one"
     )]
     Recognized {
         /// What is seen.
@@ -70,7 +70,7 @@ pub enum NoTarget {
     },
     /// Markers that fit two places equally.
     #[error(
-        "{markers} markers of the {target} are seen, but the part in view fits two places on it: show one of its ends, or state its layout (\"legacy\": true or false)"
+        "{markers} markers of the {target} are seen, but the visible part fits two positions on the board: show more of its edges, or state its layout (\"legacy\": true or false)"
     )]
     TwoPlaces {
         /// How many markers show that.

@@ -46,7 +46,7 @@ impl Default for PlaneOptions {
 pub enum NoPlane {
     /// Every reading is the same.
     #[error(
-        "its depth image reads {reading} everywhere: it was lost or not yet there, and is not used"
+        "its depth image reads {reading} everywhere (a dropped frame, or a stream that had not started) and is not used"
     )]
     Blank {
         /// Which.
@@ -65,7 +65,7 @@ pub enum NoPlane {
     },
     /// The surface inside the outline is not one plane.
     #[error(
-        "what the depth image shows inside the board's outline is not flat: {percent} % of it lies on one plane"
+        "the depth image is not flat inside the board's outline: only {percent} % of it lies on one plane"
     )]
     NotFlat {
         /// How much.

@@ -48,7 +48,7 @@ pub enum RectificationError {
     NoBaseline,
     /// One is in front of the other.
     #[error(
-        "the baseline is {degrees:.0}° off the image plane: one camera is before the other, and no rotation makes what both see correspond by rows"
+        "the baseline is {degrees:.0}° off the image plane: one camera is in front of the other, so the images cannot be rectified to common rows"
     )]
     Forward {
         /// The angle between the baseline and the image plane of the mean orientation.

@@ -53,10 +53,10 @@ impl fmt::Display for RecognizedBoard {
             write!(f, ", borders of {} cells", grid.border_bits.unwrap_or(2))?;
         }
         if self.detection.markers.inverted {
-            write!(f, ", black and white exchanged")?;
+            write!(f, ", black and white inverted")?;
         }
         if self.may_go_on {
-            write!(f, " (or more rows, hidden or beyond the image)")?;
+            write!(f, " (possibly more rows, occluded or outside the image)")?;
         }
         Ok(())
     }
