@@ -77,6 +77,12 @@ pub enum NoPlane {
 /// Chosen, not swept.
 const TRIM_STDS: f64 = 3.5;
 
+/// The least pixels of an outline within the image, the least and the largest side of a patch in
+/// pixels, and the least number of patches. Chosen, not swept.
+const LEAST_AREA_PX: usize = 100;
+const SIDES_PX: [usize; 2] = [6, 48];
+const LEAST_TILES: usize = 6;
+
 /// Measures the surface inside `outline`, a closed polygon in pixels of the depth image.
 ///
 /// # Errors
@@ -92,10 +98,11 @@ pub fn find_board_plane(
     }
     let spans = spans_inside(outline, image);
     let area: usize = spans.iter().map(|span| span.end - span.start).sum();
-    if area < 100 {
+    if area < LEAST_AREA_PX {
         return Err(NoPlane::Outside);
     }
-    let side = ((area as f64 / f64::from(options.tiles.max(1))).sqrt() as usize).clamp(6, 48);
+    let side = ((area as f64 / f64::from(options.tiles.max(1))).sqrt() as usize)
+        .clamp(SIDES_PX[0], SIDES_PX[1]);
     let (mut tiles, mut seen) = (Vec::new(), 0);
     let (top, bottom) = (spans[0].y, spans[spans.len() - 1].y + 1);
     let left = spans.iter().map(|span| span.start).min().unwrap_or(0);
@@ -112,7 +119,7 @@ pub fn find_board_plane(
         }
     }
     let percent = |part: usize, whole: usize| (100 * part / whole.max(1)) as u32;
-    if 5 * seen < 2 * area || tiles.len() < 6 {
+    if 5 * seen < 2 * area || tiles.len() < LEAST_TILES {
         return Err(NoPlane::Holes { percent: percent(seen, area) });
     }
     let all = tiles.len();
@@ -255,7 +262,7 @@ fn keep_plane(tiles: &mut Vec<DepthTile>, lens: &Lens, tolerance: f64) {
         .map(|plane| (median(deviations(&plane)).unwrap_or(f64::INFINITY), plane))
         .min_by(|a, b| a.0.total_cmp(&b.0));
     let Some((scale, mut plane)) = best else { return tiles.clear() };
-    let limit = (4.0 * scale).max(0.002).min(tolerance);
+    let limit = (INLIER_MEDIANS * scale).max(LEAST_LIMIT).min(tolerance);
     for _ in 0..3 {
         let off = deviations(&plane);
         let near: Vec<usize> = (0..count).filter(|k| off[*k] <= limit).collect();
@@ -268,6 +275,11 @@ fn keep_plane(tiles: &mut Vec<DepthTile>, lens: &Lens, tolerance: f64) {
 /// Triples tried: with a third of the tiles off the plane, all but one in 10⁷ images get a triple
 /// of inliers.
 const TRIPLES: usize = 50;
+
+/// Tiles within this many times the median deviation from the best triple's plane are fitted, and
+/// those within this relative distance in any case. Chosen, not swept.
+const INLIER_MEDIANS: f64 = 4.0;
+const LEAST_LIMIT: f64 = 0.002;
 
 #[cfg(test)]
 mod tests {

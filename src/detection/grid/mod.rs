@@ -14,6 +14,19 @@ pub(in crate::detection) const LARGEST_RADIUS: i32 = 104;
 /// How many searches at one position may fail. Chosen, not swept.
 const MOST_ATTEMPTS: u8 = 4;
 
+/// Weights of a corner's predictions relative to those across a square or along three corners of a
+/// line: from the corners on both sides of it, and by repeating a single step. Chosen, not swept.
+const BETWEEN_WEIGHT: f32 = 2.0;
+const LINEAR_WEIGHT: f32 = 0.2;
+/// Largest ratio of neighboring steps along a line that is continued in perspective. Chosen, not
+/// swept.
+const MOST_STEP_RATIO: f32 = 2.0;
+/// Least sine of the angle between a corner's two steps, and least area between them, in square
+/// pixels: what is measured in units of nearly parallel or tiny steps is unbounded. Chosen, not
+/// swept.
+const LEAST_STEP_SINE: f32 = 0.1;
+const LEAST_STEP_AREA_PX2: f32 = 1.0;
+
 /// Steps along a line from which the step at a position is predicted: the distance, which parallel
 /// line, and the start; nearest first.
 const STEPS_NEARBY: [(i32, i32, i32); 22] = [
@@ -306,7 +319,7 @@ impl Grid {
         for (di, dj) in [(1, 0), (0, 1), (-1, 0), (0, -1)] {
             let Some(p1) = self.pixel(i - di, j - dj) else { continue };
             if let Some(next) = self.pixel(i + di, j + dj) {
-                add((p1 + next) * 0.5, 2.0);
+                add((p1 + next) * 0.5, BETWEEN_WEIGHT);
             }
             for (ei, ej) in [(dj, di), (-dj, -di)] {
                 if let (Some(a), Some(b)) =
@@ -318,7 +331,7 @@ impl Grid {
             let Some(p2) = self.pixel(i - 2 * di, j - 2 * dj) else { continue };
             match self.pixel(i - 3 * di, j - 3 * dj) {
                 Some(p3) => add(p1 + projective_step(p1 - p2, p2 - p3), 1.0),
-                None => add(p1 * 2.0 - p2, 0.2),
+                None => add(p1 * 2.0 - p2, LINEAR_WEIGHT),
             }
         }
         (weight > 0.0).then(|| sum / weight)
@@ -338,15 +351,15 @@ impl Grid {
 /// positions are α + β/(n + γ): if r is the ratio of two steps, the next ratio is (1 + r)/(3 − r).
 fn projective_step(first: Vec2, second: Vec2) -> Vec2 {
     let ratio = first.norm() / second.norm().max(1e-3);
-    let ratio = ratio.clamp(0.5, 2.0);
+    let ratio = ratio.clamp(1.0 / MOST_STEP_RATIO, MOST_STEP_RATIO);
     first * ((1.0 + ratio) / (3.0 - ratio))
 }
 
 /// `vector` in units of the steps `u` and `v`.
 pub(in crate::detection) fn in_steps(vector: Vec2, [u, v]: [Vec2; 2]) -> Option<Vec2> {
     let area = u.x * v.y - u.y * v.x;
-    let least = 0.1 * u.norm() * v.norm();
-    (area.abs() > least && area.abs() > 1.0).then(|| {
+    let least = LEAST_STEP_SINE * u.norm() * v.norm();
+    (area.abs() > least && area.abs() > LEAST_STEP_AREA_PX2).then(|| {
         Vec2::new(
             (vector.x * v.y - vector.y * v.x) / area,
             (u.x * vector.y - u.y * vector.x) / area,

@@ -44,6 +44,9 @@ const LEAST_SPREAD: f32 = 18.0;
 /// Prior weight, in samples' equations, of the constant that light adds ([`edge_offset`]). Chosen,
 /// not swept.
 const LIGHT_PRIOR: f32 = 0.3;
+/// Least part of a window that must lie inside the image for a corner to be measured in it. Chosen,
+/// not swept.
+pub(in crate::detection) const LEAST_INSIDE: f32 = 0.25;
 /// Relative margin between a window and the image border, for rounding.
 const BORDER_MARGIN: f32 = 1e-4;
 

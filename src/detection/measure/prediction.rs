@@ -8,9 +8,14 @@ use crate::detection::grid::curved_board::predict_on_curve;
 use crate::detection::grid::perspective::Perspective;
 use crate::detection::grid::{Grid, Node, in_steps};
 use crate::detection::measure::Probe;
-use crate::detection::measure::cross::CrossWindow;
+use crate::detection::measure::cross::{CrossWindow, LEAST_INSIDE};
 use crate::detection::thresholds::chessboard::{MeasureThresholds, WindowThresholds};
 use crate::detection::vec2::Vec2;
+
+/// How far from a corner its four squares are sampled, as a part of the reach of the window that it
+/// was measured in; and the least part of that which must lie inside the image. Chosen, not swept.
+const ALTERNATION_REACH: f32 = 0.8;
+const LEAST_ALTERNATION_INSIDE: f32 = 0.1;
 
 /// Prediction of a corner: position and appearance.
 #[derive(Debug, Clone, Copy)]
@@ -107,9 +112,10 @@ impl Prediction {
     /// Whether the four squares around the measured corner `node` are alternately bright and dark.
     fn alternates(&self, probe: Probe<'_>, node: &Node, reach: f32, contrast: f32) -> bool {
         let thresholds = &probe.thresholds.measure;
-        let window = window(node.pixel, self.steps, [0.8 * reach, f32::MAX], thresholds);
+        let window =
+            window(node.pixel, self.steps, [ALTERNATION_REACH * reach, f32::MAX], thresholds);
         window
-            .inside(probe.image, 0.1)
+            .inside(probe.image, LEAST_ALTERNATION_INSIDE)
             .and_then(|window| window.alternation(probe.image))
             .is_some_and(|depth| {
                 depth * self.polarity >= thresholds.least_alternation * contrast.abs()
@@ -127,7 +133,7 @@ pub(in crate::detection) fn settle(
 ) -> Option<Node> {
     let (image, thresholds) = (probe.image, &probe.thresholds.measure);
     let window = |center, reach| {
-        window(center, steps, [reach, size.most_px], thresholds).inside(image, 0.25)
+        window(center, steps, [reach, size.most_px], thresholds).inside(image, LEAST_INSIDE)
     };
     let first = window(expected, size.reach)?.measure_above(image, thresholds.least_first_score)?;
     let mut cross = window(first.center, size.reach)?.measure(image)?;
@@ -191,7 +197,7 @@ fn sharpen(probe: Probe<'_>, node: &Node, steps: [Vec2; 2], reaches: &[f32]) -> 
     for &reach in reaches {
         let center = seen.unwrap_or(node.pixel);
         match window(center, steps, [reach, most_px], thresholds)
-            .inside(probe.image, 0.25)
+            .inside(probe.image, LEAST_INSIDE)
             .and_then(|window| window.measure(probe.image))
         {
             Some(cross)

@@ -15,6 +15,9 @@ use crate::imaging::gray::GrayView;
 const TILE: usize = 4;
 /// Tiles that are skipped together if none is strong.
 const GROUP: usize = 32;
+/// Half the side of the window that a candidate is measured in, in pixels: within the ring of the
+/// response. Chosen, not swept.
+const HALF_SIDE_PX: f32 = 3.0;
 
 /// A candidate for a chessboard corner.
 #[derive(Debug, Clone, Copy)]
@@ -236,7 +239,7 @@ fn examine(probe: Probe<'_>, x: usize, y: usize) -> Option<Candidate> {
     let center = Vec2::new(x as f32, y as f32);
     let (image, thresholds) = (probe.image, &probe.thresholds.candidates);
     let edges = ring_edges(image, [x, y], thresholds.least_straight)?;
-    let window = CrossWindow { center, a: edges[0] * 3.0, b: edges[1] * 3.0 };
+    let window = CrossWindow { center, a: edges[0] * HALF_SIDE_PX, b: edges[1] * HALF_SIDE_PX };
     let first = window.measure_above(image, thresholds.least_first_score)?;
     let in_place = first.score >= thresholds.clear_score
         && (first.center - center).norm() < thresholds.settled_px;

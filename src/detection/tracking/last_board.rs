@@ -6,7 +6,7 @@
 
 use crate::detection::grid::{Grid, Node};
 use crate::detection::measure::Probe;
-use crate::detection::measure::cross::CrossWindow;
+use crate::detection::measure::cross::{CrossWindow, LEAST_INSIDE};
 use crate::detection::measure::prediction::Prediction;
 use crate::detection::tracking::last_corners::LastCorners;
 use crate::detection::vec2::Vec2;
@@ -113,7 +113,7 @@ impl ExpectedCorner {
         let measure = |center: Vec2, reach_px: f32| {
             let most_px = reach_px * slant;
             let window = CrossWindow::on_board(center, u, v, thresholds.most_reach, most_px)
-                .inside(probe.image, 0.25)?;
+                .inside(probe.image, LEAST_INSIDE)?;
             window.measure(probe.image).filter(|cross| cross.contrast * polarity > 0.0)
         };
         let least_contrast = thresholds.least_contrast * self.last.near_contrast.abs();

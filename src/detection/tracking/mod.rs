@@ -15,7 +15,7 @@ use crate::detection::board_detection::{DetectedCorner, Detection};
 use crate::detection::grid::Grid;
 use crate::detection::grid::extent::is_whole;
 use crate::detection::measure::Probe;
-use crate::detection::measure::cross::CrossWindow;
+use crate::detection::measure::cross::{CrossWindow, LEAST_INSIDE};
 use crate::detection::measure::prediction::Prediction;
 use crate::detection::report::{ReportBuffers, detection, take_guesses};
 use crate::detection::search::FoundGrid;
@@ -172,7 +172,7 @@ impl Tracker {
 fn may_be_corner(probe: Probe<'_>, place: &Prediction) -> bool {
     let ([u, v], thresholds) = (place.steps, &probe.thresholds.tracking);
     let (a, b) = (u * thresholds.beyond, v * thresholds.beyond);
-    let window = CrossWindow { center: place.expected, a, b }.inside(probe.image, 0.25);
+    let window = CrossWindow { center: place.expected, a, b }.inside(probe.image, LEAST_INSIDE);
     let depth = window.and_then(|window| window.alternation(probe.image));
     depth.is_some_and(|depth| depth * place.polarity > thresholds.may_alternate * place.contrast[0])
 }

@@ -11,6 +11,10 @@ use crate::detection::thresholds::chessboard::EndThresholds;
 use crate::detection::vec2::Vec2;
 use crate::detection::verify::placement::Ends;
 
+/// A side may be an end if the votes for it are more than this many times the pairs against it.
+/// Chosen, not swept.
+const ENDED_OVER_CONTINUED: u32 = 3;
+
 /// The ends of the board that a grid shows.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::detection) struct SeenEnds {
@@ -56,7 +60,7 @@ struct Side {
 
 impl Side {
     fn may_end(&self, thresholds: &EndThresholds) -> bool {
-        self.ended > 3 * self.continued && self.ended >= thresholds.least_votes
+        self.ended > ENDED_OVER_CONTINUED * self.continued && self.ended >= thresholds.least_votes
     }
 
     fn must_end(&self, thresholds: &EndThresholds) -> bool {
