@@ -45,6 +45,7 @@ mod tag_spacing;
 pub mod target;
 pub(crate) mod verdict;
 pub mod view;
+pub mod view_residuals;
 
 pub use crate::calibration::instrument::solve;
 pub use crate::calibration::observations::{

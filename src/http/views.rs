@@ -8,14 +8,12 @@ use axum::http::HeaderMap;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::IntoResponse;
 
-use crate::calibration::result::{CalibratedView, Calibration, ImageCalibration};
+use crate::calibration::result::{Calibration, ImageCalibration};
 use crate::calibration::sensor::SensorId;
-use crate::detection::board_detection::{DetectedCorner, Detection, GridIndex};
+use crate::calibration::view_residuals::view_residuals;
 use crate::document::pose::PoseDocument;
 use crate::document::session::{SessionViewDocument, SessionViewsDocument};
 use crate::document::time;
-use crate::estimation::view_motion::read_out_time;
-use crate::geometry::board::BoardSize;
 use crate::geometry::target::Target;
 use crate::http::pages::{PageParameters, PageRefusals};
 use crate::http::problem::Problem;
@@ -148,7 +146,7 @@ fn view_document(
         reason: calibrated.and_then(|calibrated| calibrated.reason.clone()),
         rms_px: calibrated.and_then(|calibrated| calibrated.rms_px),
         residuals_px: residuals.and_then(|(((sensor, calibrated), target), detection)| {
-            residuals_px(detection, sensor, calibrated, target)
+            view_residuals(detection, sensor, calibrated, target)
         }),
         camera_from_board: calibrated
             .and_then(|calibrated| calibrated.camera_from_board.as_ref())
@@ -158,44 +156,6 @@ fn view_document(
             .map(PoseDocument::from),
         image: format!("/v1/sessions/{session_id}/views/{n}.jpg"),
     })
-}
-
-/// The residuals, measured minus projected, for each corner of the board as it was measured. `None`
-/// for a view without a pose, and where a rolling-shutter calibration does not contain the board's
-/// motion in this view: without the motion, the residuals would contradict the view's `rms_px`. The
-/// solve of a rig may have rotated the labels of a symmetric board by half a turn: the residuals
-/// are those of the labels that fit.
-fn residuals_px(
-    detection: &Detection,
-    sensor: &ImageCalibration,
-    calibrated: &CalibratedView,
-    target: Target,
-) -> Option<Vec<[f64; 2]>> {
-    if sensor.rolling_shutter.is_some() && calibrated.motion.is_none() {
-        return None;
-    }
-    let at_middle_row = calibrated.camera_from_board?;
-    let height_px = f64::from(sensor.image_size.height);
-    let residual = |corner: &DetectedCorner, is_rotated: bool| {
-        let (BoardSize { cols, rows }, GridIndex { col, row }) = (target.lattice(), corner.index);
-        let rotated = (cols as i32 - 1 - col, rows as i32 - 1 - row);
-        let (col, row) = if is_rotated { rotated } else { (col, row) };
-        let point_in_board = target.corner_at(col, row)?;
-        let measured = sensor.board_shape.as_ref().and_then(|b| b.offset_at(&point_in_board));
-        let place = point_in_board + measured.unwrap_or_default();
-        let camera_from_board = calibrated.motion.map_or(at_middle_row, |motion| {
-            motion.camera_from_board_at(&at_middle_row, read_out_time(corner.pixel.y, height_px))
-        });
-        let predicted = sensor.lens.pixel_from_point(&(camera_from_board * place))?;
-        Some([corner.pixel.x - predicted.x, corner.pixel.y - predicted.y])
-    };
-    let all = |is_rotated: bool| -> Option<Vec<[f64; 2]>> {
-        detection.corners.iter().map(|corner| residual(corner, is_rotated)).collect()
-    };
-    let square =
-        |residuals: &Vec<[f64; 2]>| -> f64 { residuals.iter().flatten().map(|r| r * r).sum() };
-    let either = [false, true].into_iter().filter_map(all);
-    either.min_by(|a, b| square(a).total_cmp(&square(b)))
 }
 
 #[cfg(test)]
