@@ -23,7 +23,7 @@
 //! | [`export`] | other programs' formats | geometry, imaging, calibration, document |
 //! | [`store`] | SQLite | locks, geometry, imaging, detection, calibration, document |
 //! | [`pipeline`] | threads, channels, clocks | locks, geometry, imaging, detection, estimation, calibration, recording, capture, document, store |
-//! | [`http`] | axum | locks, geometry, imaging, detection, estimation, calibration, document, export, store, pipeline |
+//! | [`http`] | axum | locks, geometry, imaging, estimation (the stateless solve), calibration, document, export, store, pipeline |
 //! | `graph` | results on the graph of ROS 2 | dds, geometry, recording, calibration, store, pipeline |
 //! | `config`, `daemon`, `cli`, `main` | | anything; nothing uses them |
 //!

@@ -18,9 +18,8 @@ use crate::estimation::interrupt::Interrupt;
 use crate::estimation::model_check::ModelCheck;
 use crate::estimation::problem::CameraProblem;
 use crate::estimation::split_halves::LensDifference;
-use crate::estimation::uncertainty::{
-    Distance, MedianAndWorst, PixelGrid, UncertaintyMap, projection_uncertainty,
-};
+use crate::estimation::uncertainty::{MedianAndWorst, PixelGrid, projection_uncertainty};
+pub use crate::estimation::uncertainty::{Distance, UncertaintyMap};
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::target::Target;

@@ -1,5 +1,6 @@
 //! The HTTP interface of the daemon: routes in `router`, one file for each resource. Uses geometry,
-//! imaging, estimation, calibration, document, export, store and pipeline; never a camera.
+//! imaging, calibration, document, export, store, pipeline, and estimation for the stateless solve;
+//! never a camera.
 //!
 //! Every answer is computed from the newest state; only a `stop` waits, and only for its solve.
 //! Every error, whatever its cause, is a [`problem::Problem`]. No request can bring the daemon

@@ -6,7 +6,6 @@ use axum::Json;
 use axum::extract::State;
 use axum::http::HeaderMap;
 
-use crate::detection::target_in_view::target_in_view;
 use crate::document::target_in_view::TargetInViewDocument;
 use crate::http::frames::stale;
 use crate::http::problem::Problem;
@@ -33,7 +32,7 @@ pub(super) async fn in_view(
     let place = Arc::clone(&shared.solves).try_acquire_owned().map_err(busy)?;
     let seen = on_a_blocking_thread(move || {
         let _place = place;
-        fleet.newest_luma(&camera).map(|image| target_in_view(image.view()))
+        fleet.target_in_view(&camera)
     });
     Ok((stale, Json(seen.await??.as_ref().into())))
 }

@@ -8,9 +8,10 @@ use axum::http::header::CONTENT_TYPE;
 use axum::response::IntoResponse;
 
 use crate::calibration::result::ImageCalibration;
-use crate::calibration::solve::{UNCERTAINTY_COLUMNS, sensor_uncertainty};
+use crate::calibration::solve::{
+    Distance, UNCERTAINTY_COLUMNS, UncertaintyMap, sensor_uncertainty,
+};
 use crate::document::uncertainty::UncertaintyMapDocument;
-use crate::estimation::uncertainty::{Distance, UncertaintyMap};
 use crate::http::calibrations::calibration;
 use crate::http::problem::Problem;
 use crate::http::request::{Address, Asked, Parameters, ReadQuery, known_name};

@@ -7,6 +7,7 @@ use std::sync::{Arc, Mutex, RwLock, RwLockReadGuard};
 use tokio::sync::watch;
 
 use crate::calibration::session_record::SessionRecord;
+use crate::detection::target_in_view::{TargetInView, target_in_view};
 use crate::imaging::decode;
 use crate::imaging::frame::SensorKind;
 use crate::imaging::gray::GrayImage;
@@ -290,11 +291,17 @@ impl Fleet {
         Ok(camera.preview.encoded(&live, drawing, &camera.preview_state())?.0)
     }
 
-    /// A camera's newest image in which a board can be seen, as luma; blocks while it is decoded.
+    /// The target that a camera's newest image shows, if it is recognized; blocks while the image
+    /// is decoded and searched.
     ///
     /// # Errors
     /// [`PreviewError`].
-    pub fn newest_luma(&self, name: &str) -> Result<GrayImage, PreviewError> {
+    pub fn target_in_view(&self, name: &str) -> Result<Option<TargetInView>, PreviewError> {
+        Ok(target_in_view(self.newest_luma(name)?.view()))
+    }
+
+    /// A camera's newest image in which a board can be seen, as luma.
+    fn newest_luma(&self, name: &str) -> Result<GrayImage, PreviewError> {
         let (_, live) = self.newest(name)?;
         let kinds = [SensorKind::Color, SensorKind::Infrared];
         let frame = kinds.into_iter().find_map(|sensor| live.frame_set.frame(sensor));

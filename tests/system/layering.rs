@@ -40,7 +40,6 @@ const LAYERS: &[(&str, &[&str])] = &[
             "locks",
             "geometry",
             "imaging",
-            "detection",
             "estimation",
             "calibration",
             "document",
