@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use crate::calibration::result::SceneScale;
 use crate::calibration::scene::{SceneCalibration, SceneDepth, SceneOptions, calibrate_scene};
+use crate::cli::calibration_output::named;
 use crate::cli::files::{check_no_image, write_file};
 use crate::cli::in_order::all_cores;
 use crate::cli::lens_name::LensName;
@@ -14,7 +15,7 @@ use crate::cli::scene_images::{SceneImages, scene_images};
 use crate::cli::search_args::check_sources;
 use crate::cli::sources::FrameSets;
 use crate::cli::{Failure, output, progress};
-use crate::document::scene::SceneCalibrationDocument;
+use crate::document::calibration::CalibrationDocument;
 use crate::estimation::given_range::check_given_range;
 use crate::estimation::problem::GivenParameter;
 use crate::export::colmap_scene::{ColmapScene, colmap_scene};
@@ -91,9 +92,10 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let solved = calibrate_scene(&images, &options);
     spinner.finish_and_clear();
     let calibration = with_unit(solved.map_err(Failure::failed)?, depth, &args.sources);
-    let id = ulid::Ulid::generate().to_string();
-    let mut document = SceneCalibrationDocument::new(id, jiff::Timestamp::now(), &calibration);
-    document.elapsed_ms = Some(started.elapsed().as_secs_f64() * 1000.0);
+    let document = CalibrationDocument {
+        elapsed_ms: Some(started.elapsed().as_secs_f64() * 1000.0),
+        ..CalibrationDocument::from(&named(calibration.clone().into_calibration()))
+    };
     if let Some(path) = &args.out {
         let json = serde_json::to_string_pretty(&document).map_err(Failure::failed)? + "\n";
         write_file(path, json.as_bytes())?;

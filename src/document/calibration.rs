@@ -1,6 +1,6 @@
 //! The calibration document.
 
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::calibration::result::{
@@ -10,6 +10,7 @@ use crate::calibration::sensor::SensorId;
 use crate::calibration::target::CalibrationTarget;
 use crate::document::error::DocumentError;
 use crate::document::pose::{PoseDocument, RotationDocument};
+use crate::document::reading::null_is_a_value;
 use crate::document::scene_scale::{METERS, SceneScaleDocument};
 use crate::document::sensors::SensorsDocument;
 use crate::document::target::TargetDocument;
@@ -59,13 +60,6 @@ pub struct CalibrationDocument {
     /// What the solve and its uncertainty took, in milliseconds; only in the answer to a solve.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub elapsed_ms: Option<f64>,
-}
-
-/// A field that is there, null or not; serde alone takes null for a field that is not.
-fn null_is_a_value<'de, D: Deserializer<'de>>(
-    deserializer: D,
-) -> Result<Option<Option<String>>, D::Error> {
-    Option::deserialize(deserializer).map(Some)
 }
 
 /// Every calibration of a camera.

@@ -11,6 +11,7 @@ use crate::document::error::{DocumentError, physical};
 use crate::document::lens::{LensDocument, LensStdDocument};
 use crate::document::lens_model::LensModelName;
 use crate::document::pose::PoseDocument;
+use crate::document::reading::null_is_a_value;
 use crate::document::view_motion::ViewMotionDocument;
 use crate::estimation::view_motion::ViewMotion;
 use crate::geometry::lens::Lens;
@@ -54,8 +55,9 @@ pub struct SensorDocument {
     pub points: Option<usize>,
     /// Parameters that a scene says no more of than the prior: center ± 2 % of the width, square
     /// pixels ± 0.2 %, radial coefficients ± 0.2, tangential ones ± 0.0003.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub held_by_prior: Vec<String>,
+    #[schema(value_type = Vec<String>)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub held_by_prior: Option<Vec<String>>,
     /// Each image or frame that was offered, in order.
     pub views: Vec<ViewDocument>,
 }
@@ -97,10 +99,15 @@ pub struct ViewDocument {
     /// How the board moved while the view's rows were read; left out without a rolling shutter.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motion: Option<ViewMotionDocument>,
-    /// Where the scene was, without a board; left out for a view without a pose. The first used
+    /// Where the scene was, without a board only; null for a view without a pose. The first used
     /// view is the identity.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub camera_from_scene: Option<PoseDocument>,
+    #[schema(value_type = Option<PoseDocument>)]
+    #[serde(
+        default,
+        deserialize_with = "null_is_a_value",
+        skip_serializing_if = "Option::is_none"
+    )]
+    pub camera_from_scene: Option<Option<PoseDocument>>,
 }
 
 impl From<&ImageCalibration> for SensorDocument {
@@ -117,8 +124,12 @@ impl From<&ImageCalibration> for SensorDocument {
             board_shape: sensor.board_shape.as_ref().map(BoardShapeDocument::from),
             rolling_shutter: sensor.rolling_shutter.map(RollingShutterDocument::from),
             points: sensor.scene.as_ref().map(|scene| scene.points),
-            held_by_prior: sensor.scene.as_ref().map_or_else(Vec::new, |s| s.held_by_prior.clone()),
-            views: sensor.views.iter().map(ViewDocument::from).collect(),
+            held_by_prior: sensor.scene.as_ref().map(|scene| scene.held_by_prior.clone()),
+            views: sensor
+                .views
+                .iter()
+                .map(|view| view_document(view, sensor.scene.is_some()))
+                .collect(),
         }
     }
 }
@@ -147,7 +158,7 @@ impl TryFrom<&SensorDocument> for ImageCalibration {
             rolling_shutter: document.rolling_shutter.map(Into::into),
             scene: document.points.map(|points| SceneSupport {
                 points,
-                held_by_prior: document.held_by_prior.clone(),
+                held_by_prior: document.held_by_prior.clone().unwrap_or_default(),
                 scale: None,
             }),
         })
@@ -217,17 +228,17 @@ impl From<&ComparedLensDocument> for ComparedLens {
     }
 }
 
-impl From<&CalibratedView> for ViewDocument {
-    fn from(view: &CalibratedView) -> Self {
-        Self {
-            name: view.name.clone(),
-            used: view.used,
-            reason: view.reason.clone(),
-            rms_px: view.rms_px,
-            camera_from_board: view.camera_from_board.as_ref().map(PoseDocument::from),
-            motion: view.motion.as_ref().map(ViewMotionDocument::from),
-            camera_from_scene: view.camera_from_scene.as_ref().map(PoseDocument::from),
-        }
+/// `is_of_scene` where there is no board.
+fn view_document(view: &CalibratedView, is_of_scene: bool) -> ViewDocument {
+    let camera_from_scene = view.camera_from_scene.as_ref().map(PoseDocument::from);
+    ViewDocument {
+        name: view.name.clone(),
+        used: view.used,
+        reason: view.reason.clone(),
+        rms_px: view.rms_px,
+        camera_from_board: view.camera_from_board.as_ref().map(PoseDocument::from),
+        motion: view.motion.as_ref().map(ViewMotionDocument::from),
+        camera_from_scene: is_of_scene.then_some(camera_from_scene),
     }
 }
 
@@ -235,7 +246,8 @@ impl TryFrom<&ViewDocument> for CalibratedView {
     type Error = DocumentError;
     fn try_from(document: &ViewDocument) -> Result<Self, DocumentError> {
         let camera_from_board = document.camera_from_board.as_ref().map(Pose::try_from).transpose();
-        let camera_from_scene = document.camera_from_scene.as_ref().map(Pose::try_from).transpose();
+        let camera_from_scene = document.camera_from_scene.as_ref().and_then(Option::as_ref);
+        let camera_from_scene = camera_from_scene.map(Pose::try_from).transpose();
         let motion = document.motion.as_ref().map(ViewMotion::try_from).transpose();
         Ok(Self {
             name: document.name.clone(),

@@ -23,7 +23,6 @@ pub mod problem;
 pub mod reading;
 pub mod recording;
 pub mod rig;
-pub mod scene;
 pub mod scene_scale;
 pub mod sensors;
 pub mod sensors_file;

@@ -1,7 +1,7 @@
 //! JSON in and out: errors that name the field, numbers that keep every bit.
 
-use serde::Serialize;
 use serde::de::{DeserializeOwned, IgnoredAny};
+use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::error::Category;
 
 use crate::document::error::DocumentError;
@@ -26,6 +26,13 @@ pub fn from_json<T: DeserializeOwned>(json: &[u8]) -> Result<T, DocumentError> {
     })?;
     reader.end().map_err(|e| syntax(json, &e))?;
     Ok(document)
+}
+
+/// A field that is there, null or not; serde alone takes null for a field that is not.
+pub(super) fn null_is_a_value<'de, D: Deserializer<'de>, T: Deserialize<'de>>(
+    deserializer: D,
+) -> Result<Option<Option<T>>, D::Error> {
+    Option::deserialize(deserializer).map(Some)
 }
 
 /// Writes a document on one line. Doubles are written with as few digits as read back to the same
