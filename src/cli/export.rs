@@ -56,22 +56,7 @@ impl ValueEnum for Format {
     }
 
     fn to_possible_value(&self) -> Option<PossibleValue> {
-        let help = match self {
-            Self::Json => "Plumb's calibration document",
-            Self::Ros => "ROS camera_info YAML",
-            Self::RosStereo => "ROS camera_info YAML of two cameras, rectified",
-            Self::Opencv => "OpenCV FileStorage YAML",
-            Self::OpencvStereo => "OpenCV FileStorage YAML of two cameras, rectified",
-            Self::Kalibr => "Kalibr camera chain YAML",
-            Self::Mrcal => "mrcal .cameramodel",
-            Self::Colmap => "COLMAP cameras.txt",
-            Self::Urdf => "Where the sensors are: URDF with fixed joints",
-            Self::Tf => "Where the sensors are: YAML of ROS static transforms",
-            Self::Depth => {
-                "What depth readings mean, corrected: text (docs/depth-correction reads it)"
-            }
-        };
-        Some(PossibleValue::new(self.name()).help(help))
+        Some(PossibleValue::new(self.name()).help(self.description()))
     }
 }
 

@@ -1,18 +1,33 @@
 //! COLMAP's `cameras.txt`, a camera for each image sensor.
 
+use crate::calibration::result::Calibration;
+use crate::export::facts::{FileName, FormatFacts, Formatted, camera_name};
 use crate::export::format::models;
 use crate::export::number::decimal;
-use crate::export::sensors::{Sensor, without_skew};
-use crate::export::{ExportError, Format};
+use crate::export::sensors::{Sensor, images, without_skew};
+use crate::export::{ExportError, ExportOptions, Format};
 use crate::geometry::lens::Lens;
 use crate::geometry::lens::model::ForeignModel;
+
+pub(super) const FACTS: FormatFacts = FormatFacts {
+    name: "colmap",
+    description: "COLMAP cameras.txt",
+    media_type: "text/plain; charset=utf-8",
+    file_name: FileName::Fixed("cameras.txt"),
+    holds_all: true,
+    write,
+};
 
 /// COLMAP puts (0, 0) at the image's corner, half a pixel up and left of the first pixel's center:
 /// its cx and cy are ours plus one half.
 pub(super) const CORNER_TO_CENTER_PX: f64 = 0.5;
 
+fn write(calibration: &Calibration, _: &ExportOptions) -> Result<Formatted, ExportError> {
+    Ok(Formatted::one_file(camera_name(calibration), cameras(&images(calibration))?, None))
+}
+
 /// One line a sensor, numbered from 1 in the order of documents.
-pub(super) fn cameras(sensors: &[Sensor<'_>]) -> Result<String, ExportError> {
+fn cameras(sensors: &[Sensor<'_>]) -> Result<String, ExportError> {
     if sensors.is_empty() {
         return Err(ExportError::NoSensor { format: Format::Colmap });
     }

@@ -2,8 +2,21 @@
 //! (`docs/depth-correction` has it in Python and C++).
 
 use crate::calibration::depth_calibration::DepthCalibration;
+use crate::calibration::result::Calibration;
+use crate::export::facts::{FileName, FormatFacts, Formatted, camera_name};
 use crate::export::number::decimal;
+use crate::export::sensors::depth_sensor;
+use crate::export::{ExportError, ExportOptions};
 use crate::geometry::depth_camera::DepthReading;
+
+pub(super) const FACTS: FormatFacts = FormatFacts {
+    name: "depth",
+    description: "What depth readings mean, corrected: text (docs/depth-correction reads it)",
+    media_type: "text/plain; charset=utf-8",
+    file_name: FileName::WithSuffix("-depth.txt"),
+    holds_all: false,
+    write,
+};
 
 /// What the file says of itself.
 const HEADER: &str = "\
@@ -17,8 +30,14 @@ const HEADER: &str = "\
 # (1-t)^3, 3t^3-6t^2+4, -3t^3+3t^2+3t+1, t^3, each over 6; along v likewise. Cells 0 0: one number for the whole image.
 ";
 
+fn write(calibration: &Calibration, options: &ExportOptions) -> Result<Formatted, ExportError> {
+    let (sensor, depth) = depth_sensor(calibration, options.sensor.as_deref())?;
+    let camera = sensor.id.camera.as_deref().unwrap_or(camera_name(calibration));
+    Ok(Formatted::one_file(camera, correction_file(camera, depth), None))
+}
+
 /// The file.
-pub(super) fn correction_file(camera: &str, depth: &DepthCalibration) -> String {
+fn correction_file(camera: &str, depth: &DepthCalibration) -> String {
     let size = depth.camera.image_size;
     let reading = match depth.camera.reading {
         DepthReading::Metric { unit_m } => format!("depth {}", decimal(unit_m)),

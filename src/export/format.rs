@@ -1,4 +1,4 @@
-//! The formats by their names.
+//! The formats.
 
 use crate::geometry::lens::LensModel;
 
@@ -45,63 +45,6 @@ impl Format {
         Self::Tf,
         Self::Depth,
     ];
-
-    /// Its name on the command line and in `?format=`.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Json => "json",
-            Self::Ros => "ros",
-            Self::RosStereo => "ros_stereo",
-            Self::Opencv => "opencv",
-            Self::OpencvStereo => "opencv_stereo",
-            Self::Kalibr => "kalibr",
-            Self::Mrcal => "mrcal",
-            Self::Colmap => "colmap",
-            Self::Urdf => "urdf",
-            Self::Tf => "tf",
-            Self::Depth => "depth",
-        }
-    }
-
-    /// The format with this name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|format| format.name() == name)
-    }
-
-    /// Whether it holds every sensor of a calibration, in the calibration's order.
-    pub(super) fn holds_all(self) -> bool {
-        matches!(self, Self::Json | Self::Colmap | Self::Urdf | Self::Tf)
-    }
-
-    pub(super) fn media_type(self) -> &'static str {
-        match self {
-            Self::Json => "application/json",
-            Self::Ros
-            | Self::RosStereo
-            | Self::Opencv
-            | Self::OpencvStereo
-            | Self::Kalibr
-            | Self::Tf => "application/yaml",
-            Self::Urdf => "application/xml",
-            Self::Mrcal | Self::Colmap | Self::Depth => "text/plain; charset=utf-8",
-        }
-    }
-
-    pub(super) fn file_name(self, camera: &str) -> String {
-        match self {
-            Self::Json => format!("{camera}.json"),
-            Self::Ros => format!("{camera}.yaml"),
-            Self::RosStereo => format!("{camera}-stereo.yaml"),
-            Self::Opencv => format!("{camera}-opencv.yaml"),
-            Self::OpencvStereo => format!("{camera}-opencv-stereo.yaml"),
-            Self::Kalibr => format!("{camera}-camchain.yaml"),
-            Self::Mrcal => format!("{camera}.cameramodel"),
-            Self::Colmap => "cameras.txt".to_owned(),
-            Self::Urdf => format!("{camera}.urdf"),
-            Self::Tf => format!("{camera}-tf.yaml"),
-            Self::Depth => format!("{camera}-depth.txt"),
-        }
-    }
 }
 
 /// The models that a format `holds`, most coefficients first, as a choice in words.

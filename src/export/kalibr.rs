@@ -2,23 +2,41 @@
 
 use crate::calibration::result::Calibration;
 use crate::calibration::sensor::SensorId;
+use crate::export::facts::{FileName, FormatFacts, Formatted, camera_name};
 use crate::export::format::models;
 use crate::export::number::list;
-use crate::export::sensors::{self, Sensor, left_out, without_skew};
-use crate::export::{ExportError, Format, refit};
+use crate::export::sensors::{self, Sensor, asked_sensors, left_out, without_skew};
+use crate::export::{ExportError, ExportOptions, Format, refit};
 use crate::geometry::lens::model::KalibrModel;
 use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pose::Pose;
 use crate::imaging::frame::SensorKind;
 
+pub(super) const FACTS: FormatFacts = FormatFacts {
+    name: "kalibr",
+    description: "Kalibr camera chain YAML",
+    media_type: "application/yaml",
+    file_name: FileName::WithSuffix("-camchain.yaml"),
+    holds_all: false,
+    write,
+};
+
 /// A refit that is further off than this anywhere in the image is refused.
 const WORST_REFIT_PX: f64 = 0.5;
 
+fn write(calibration: &Calibration, options: &ExportOptions) -> Result<Formatted, ExportError> {
+    let (cameras, left_out) = match &options.sensor {
+        Some(asked) => (asked_sensors(calibration, Format::Kalibr, asked)?, None),
+        None => chain_of(calibration)?,
+    };
+    let camera = camera_name(calibration);
+    let (text, note) = camera_chain(camera, &cameras, left_out)?;
+    Ok(Formatted::one_file(camera, text, note))
+}
+
 /// The cameras of a chain: color and infrared (the depth sensor where there is no infrared
 /// image), or a rig's; and which are left out, because their places are not known.
-pub(super) fn chain_of(
-    calibration: &Calibration,
-) -> Result<(Vec<Sensor<'_>>, Option<String>), ExportError> {
+fn chain_of(calibration: &Calibration) -> Result<(Vec<Sensor<'_>>, Option<String>), ExportError> {
     let none = ExportError::NoSensor { format: Format::Kalibr };
     let mut cameras = sensors::all(calibration);
     let seen_by = |sensor: &Sensor<'_>| {
@@ -41,7 +59,7 @@ pub(super) fn chain_of(
 
 /// The chain of `cameras`, and what its reader must know, `left_out` before all. A lens with more
 /// coefficients than `radtan` has is refitted.
-pub(super) fn camera_chain(
+fn camera_chain(
     camera: &str,
     cameras: &[Sensor<'_>],
     left_out: Option<String>,

@@ -14,7 +14,9 @@ pub mod colmap_scene;
 mod depth;
 mod error;
 mod exported;
+mod facts;
 mod format;
+mod json;
 mod kalibr;
 mod mrcal;
 mod number;
@@ -31,10 +33,41 @@ pub use exported::{ExportOptions, Exported, ExportedFile};
 pub use format::Format;
 
 use crate::calibration::result::{Calibration, SensorResult};
-use crate::document::calibration::CalibrationDocument;
-use crate::document::reading::to_json_pretty;
-use crate::export::sensors::{Sensor, asked_sensors, depth_sensor, one_sensor, placed_sensors};
-use crate::geometry::rectification::RectifiedCamera;
+use crate::export::facts::{FormatFacts, Formatted};
+
+impl Format {
+    /// What is known of it: the list of formats.
+    fn facts(self) -> &'static FormatFacts {
+        match self {
+            Self::Json => &json::FACTS,
+            Self::Ros => &ros::FACTS,
+            Self::RosStereo => &stereo::ROS,
+            Self::Opencv => &opencv::FACTS,
+            Self::OpencvStereo => &stereo::OPENCV,
+            Self::Kalibr => &kalibr::FACTS,
+            Self::Mrcal => &mrcal::FACTS,
+            Self::Colmap => &colmap::FACTS,
+            Self::Urdf => &transforms::URDF,
+            Self::Tf => &transforms::TF,
+            Self::Depth => &depth::FACTS,
+        }
+    }
+
+    /// Its name on the command line and in `?format=`.
+    pub fn name(self) -> &'static str {
+        self.facts().name
+    }
+
+    /// What it is, as lists of formats say it.
+    pub fn description(self) -> &'static str {
+        self.facts().description
+    }
+
+    /// The format with this name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|format| format.name() == name)
+    }
+}
 
 /// Writes `calibration` in `format`. A skew that is rounding alone is none, but in `json`.
 ///
@@ -45,71 +78,18 @@ pub fn export(
     format: Format,
     options: &ExportOptions,
 ) -> Result<Exported, ExportError> {
-    let calibration = &match format {
-        Format::Json => calibration.clone(),
-        _ => without_rounding(calibration),
-    };
-    let camera = calibration.camera.as_deref().unwrap_or("camera");
-    let one = || one_sensor(calibration, format, options.sensor.as_deref());
-    let mut files = Vec::new();
-    if format.holds_all()
+    let facts = format.facts();
+    if facts.holds_all
         && let Some(asked) = options.sensor.as_ref().filter(|names| names.contains(','))
     {
         return Err(ExportError::Order { format, asked: asked.clone() });
     }
-    let (text, file, note) = match format {
-        Format::Json => (json(calibration)?, camera.to_owned(), None),
-        Format::Ros | Format::Opencv | Format::Mrcal => {
-            let (sensor, note) = one()?;
-            let text = match format {
-                Format::Ros => {
-                    let Sensor { lens, image_size, .. } = sensor;
-                    let rectified = RectifiedCamera::framed(lens, image_size, options.alpha);
-                    ros::camera_info(&sensor.frame_name(camera), &sensor, &rectified)?
-                }
-                Format::Opencv => opencv::file_storage(calibration, &sensor)?,
-                _ => mrcal::camera_model(&sensor)?,
-            };
-            (text, sensor.frame_name(camera), note)
-        }
-        Format::RosStereo => {
-            let (text, each) = stereo::camera_infos(camera, calibration, options)?;
-            files = each;
-            (text, camera.to_owned(), None)
-        }
-        Format::OpencvStereo => {
-            (stereo::opencv_matrices(calibration, options)?, camera.to_owned(), None)
-        }
-        Format::Kalibr => {
-            let (cameras, left_out) = match &options.sensor {
-                Some(asked) => (asked_sensors(calibration, format, asked)?, None),
-                None => kalibr::chain_of(calibration)?,
-            };
-            let (text, note) = kalibr::camera_chain(camera, &cameras, left_out)?;
-            (text, camera.to_owned(), note)
-        }
-        Format::Colmap => {
-            (colmap::cameras(&sensors::images(calibration))?, camera.to_owned(), None)
-        }
-        Format::Urdf | Format::Tf => {
-            let (placed, note) = placed_sensors(calibration, format)?;
-            let text = if format == Format::Urdf {
-                transforms::urdf(camera, &placed)
-                    .map_err(|error| ExportError::Text { format, reason: error.to_string() })?
-            } else {
-                transforms::stamped(camera, &placed)
-            };
-            (text, camera.to_owned(), note)
-        }
-        Format::Depth => {
-            let (sensor, depth) = depth_sensor(calibration, options.sensor.as_deref())?;
-            let camera = sensor.id.camera.as_deref().unwrap_or(camera);
-            (depth::correction_file(camera, depth), camera.to_owned(), None)
-        }
+    let Formatted { text, files, of, note } = match format {
+        Format::Json => (facts.write)(calibration, options)?,
+        _ => (facts.write)(&without_rounding(calibration), options)?,
     };
-    let file_name = format.file_name(&file);
-    let (bytes, media_type) = (text.into_bytes(), format.media_type());
-    Ok(Exported { bytes, files, media_type, file_name, note })
+    let (file_name, media_type) = (facts.file_name.of(&of), facts.media_type);
+    Ok(Exported { bytes: text.into_bytes(), files, media_type, file_name, note })
 }
 
 /// The same with a skew of exactly 0 where there is none.
@@ -125,12 +105,6 @@ fn without_rounding(calibration: &Calibration) -> Calibration {
         }
     }
     rounded
-}
-
-fn json(calibration: &Calibration) -> Result<String, ExportError> {
-    let document = CalibrationDocument::from(calibration);
-    to_json_pretty(&document)
-        .map_err(|error| ExportError::Text { format: Format::Json, reason: error.to_string() })
 }
 
 #[cfg(test)]

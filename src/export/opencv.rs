@@ -1,21 +1,34 @@
 //! OpenCV `FileStorage` YAML, with the field names of OpenCV's own calibration sample.
 
 use crate::calibration::result::Calibration;
+use crate::export::facts::{FileName, FormatFacts, Formatted, camera_name};
 use crate::export::format::models;
 use crate::export::number::{decimal, list};
-use crate::export::sensors::{Sensor, without_skew};
-use crate::export::{ExportError, Format};
+use crate::export::sensors::{Sensor, one_sensor, without_skew};
+use crate::export::{ExportError, ExportOptions, Format};
 use crate::geometry::board::Chessboard;
 use crate::geometry::lens::Lens;
 use crate::geometry::target::Target;
 
+pub(super) const FACTS: FormatFacts = FormatFacts {
+    name: "opencv",
+    description: "OpenCV FileStorage YAML",
+    media_type: "application/yaml",
+    file_name: FileName::WithSuffix("-opencv.yaml"),
+    holds_all: false,
+    write,
+};
+
+fn write(calibration: &Calibration, options: &ExportOptions) -> Result<Formatted, ExportError> {
+    let (sensor, note) = one_sensor(calibration, Format::Opencv, options.sensor.as_deref())?;
+    let name = sensor.frame_name(camera_name(calibration));
+    Ok(Formatted::one_file(&name, file_storage(calibration, &sensor)?, note))
+}
+
 /// What `cv::FileStorage` opens: `camera_matrix`, `distortion_coefficients` and `fisheye_model` (1:
 /// the coefficients are those of `cv::fisheye`), for `cv::projectPoints`, `cv::undistort` and their
 /// fisheye twins.
-pub(super) fn file_storage(
-    calibration: &Calibration,
-    sensor: &Sensor<'_>,
-) -> Result<String, ExportError> {
+fn file_storage(calibration: &Calibration, sensor: &Sensor<'_>) -> Result<String, ExportError> {
     without_skew(sensor, Format::Opencv)?;
     let lens = sensor.lens;
     let (is_fisheye, coefficients) = coefficients(lens, Format::Opencv)?;

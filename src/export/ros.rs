@@ -1,11 +1,29 @@
 //! ROS `camera_info` YAML, as `camera_info_manager` and `camera_calibration_parsers` read it.
 
+use crate::calibration::result::Calibration;
+use crate::export::facts::{FileName, FormatFacts, Formatted, camera_name};
 use crate::export::format::models;
 use crate::export::number::list;
-use crate::export::sensors::{Sensor, without_skew};
-use crate::export::{ExportError, Format};
+use crate::export::sensors::{Sensor, one_sensor, without_skew};
+use crate::export::{ExportError, ExportOptions, Format};
 use crate::geometry::lens::Lens;
 use crate::geometry::rectification::RectifiedCamera;
+
+pub(super) const FACTS: FormatFacts = FormatFacts {
+    name: "ros",
+    description: "ROS camera_info YAML",
+    media_type: "application/yaml",
+    file_name: FileName::WithSuffix(".yaml"),
+    holds_all: false,
+    write,
+};
+
+fn write(calibration: &Calibration, options: &ExportOptions) -> Result<Formatted, ExportError> {
+    let (sensor, note) = one_sensor(calibration, Format::Ros, options.sensor.as_deref())?;
+    let name = sensor.frame_name(camera_name(calibration));
+    let rectified = RectifiedCamera::framed(sensor.lens, sensor.image_size, options.alpha);
+    Ok(Formatted::one_file(&name, camera_info(&name, &sensor, &rectified)?, note))
+}
 
 /// `sensor_msgs/CameraInfo` as YAML, with the rotation and the projection matrix of `rectified`.
 pub(super) fn camera_info(

@@ -5,11 +5,30 @@ use nalgebra::{Matrix3, Matrix3x4, Matrix4};
 
 use crate::calibration::result::Calibration;
 use crate::calibration::stereo_pair::StereoPair;
+use crate::export::facts::{FileName, FormatFacts, Formatted, camera_name};
 use crate::export::opencv::{coefficients, matrix};
 use crate::export::sensors::{self, Sensor, without_skew};
 use crate::export::{ExportError, ExportOptions, ExportedFile, Format, ros};
 use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::rectification::StereoRectification;
+
+pub(super) const ROS: FormatFacts = FormatFacts {
+    name: "ros_stereo",
+    description: "ROS camera_info YAML of two cameras, rectified",
+    media_type: "application/yaml",
+    file_name: FileName::WithSuffix("-stereo.yaml"),
+    holds_all: false,
+    write: write_ros,
+};
+
+pub(super) const OPENCV: FormatFacts = FormatFacts {
+    name: "opencv_stereo",
+    description: "OpenCV FileStorage YAML of two cameras, rectified",
+    media_type: "application/yaml",
+    file_name: FileName::WithSuffix("-opencv-stereo.yaml"),
+    holds_all: false,
+    write: write_opencv,
+};
 
 /// A pair with its rectification, the left camera first.
 struct RectifiedPair<'a> {
@@ -20,26 +39,32 @@ struct RectifiedPair<'a> {
 
 /// A `camera_info` YAML file for each camera, the left one's first, and both as one text of two
 /// YAML documents.
-pub(super) fn camera_infos(
-    camera: &str,
-    calibration: &Calibration,
-    options: &ExportOptions,
-) -> Result<(String, Vec<ExportedFile>), ExportError> {
+fn write_ros(calibration: &Calibration, options: &ExportOptions) -> Result<Formatted, ExportError> {
+    let camera = camera_name(calibration);
     let of = rectified_pair(calibration, Format::RosStereo, options)?;
     let mut files = Vec::new();
     for (sensor, rectified) in of.sensors.iter().zip(&of.stereo.cameras) {
         let name = sensor.frame_name(camera);
         let text = ros::camera_info(&name, sensor, rectified)?;
-        let file_name = Format::Ros.file_name(&name);
+        let file_name = ros::FACTS.file_name.of(&name);
         files.push(ExportedFile { file_name, bytes: text.into_bytes() });
     }
     let documents: Vec<_> = files.iter().map(|file| String::from_utf8_lossy(&file.bytes)).collect();
-    Ok((documents.join("---\n"), files))
+    let text = documents.join("---\n");
+    Ok(Formatted { text, files, of: camera.to_owned(), note: None })
+}
+
+fn write_opencv(
+    calibration: &Calibration,
+    options: &ExportOptions,
+) -> Result<Formatted, ExportError> {
+    let text = opencv_matrices(calibration, options)?;
+    Ok(Formatted::one_file(camera_name(calibration), text, None))
 }
 
 /// `cv::FileStorage` with the names of OpenCV's sample `stereo_calib`: M1, D1, M2, D2, R, T, R1,
 /// R2, P1, P2, Q; 1 is the left camera.
-pub(super) fn opencv_matrices(
+fn opencv_matrices(
     calibration: &Calibration,
     options: &ExportOptions,
 ) -> Result<String, ExportError> {

@@ -3,14 +3,50 @@
 use quick_xml::Writer;
 use quick_xml::events::{BytesDecl, Event};
 
+use crate::calibration::result::Calibration;
+use crate::export::facts::{FileName, FormatFacts, Formatted, camera_name};
 use crate::export::number::decimal;
-use crate::export::sensors::Sensor;
+use crate::export::sensors::{Sensor, placed_sensors};
+use crate::export::{ExportError, ExportOptions, Format};
 use crate::geometry::pose::Pose;
+
+pub(super) const URDF: FormatFacts = FormatFacts {
+    name: "urdf",
+    description: "Where the sensors are: URDF with fixed joints",
+    media_type: "application/xml",
+    file_name: FileName::WithSuffix(".urdf"),
+    holds_all: true,
+    write: write_urdf,
+};
+
+pub(super) const TF: FormatFacts = FormatFacts {
+    name: "tf",
+    description: "Where the sensors are: YAML of ROS static transforms",
+    media_type: "application/yaml",
+    file_name: FileName::WithSuffix("-tf.yaml"),
+    holds_all: true,
+    write: write_tf,
+};
+
+fn write_urdf(calibration: &Calibration, _: &ExportOptions) -> Result<Formatted, ExportError> {
+    let format = Format::Urdf;
+    let (placed, note) = placed_sensors(calibration, format)?;
+    let camera = camera_name(calibration);
+    let text = urdf(camera, &placed)
+        .map_err(|error| ExportError::Text { format, reason: error.to_string() })?;
+    Ok(Formatted::one_file(camera, text, note))
+}
+
+fn write_tf(calibration: &Calibration, _: &ExportOptions) -> Result<Formatted, ExportError> {
+    let (placed, note) = placed_sensors(calibration, Format::Tf)?;
+    let camera = camera_name(calibration);
+    Ok(Formatted::one_file(camera, stamped(camera, &placed), note))
+}
 
 /// A URDF whose root is the first sensor's optical frame, with a fixed joint to each other's. A
 /// robot's own URDF takes the joints over. Angles are URDF's: about the fixed x, y and z axes, in
 /// this order.
-pub(super) fn urdf(camera: &str, sensors: &[Sensor<'_>]) -> std::io::Result<String> {
+fn urdf(camera: &str, sensors: &[Sensor<'_>]) -> std::io::Result<String> {
     let mut xml = Writer::new_with_indent(Vec::new(), b' ', 2);
     xml.write_event(Event::Decl(BytesDecl::new("1.0", None, None)))?;
     xml.create_element("robot").with_attribute(("name", camera)).write_inner_content(|xml| {
@@ -50,7 +86,7 @@ fn write_joint(
 
 /// A YAML list of `geometry_msgs/TransformStamped`, from the first sensor's optical frame to each
 /// other's.
-pub(super) fn stamped(camera: &str, sensors: &[Sensor<'_>]) -> String {
+fn stamped(camera: &str, sensors: &[Sensor<'_>]) -> String {
     let mut text = String::new();
     for (parent, child, parent_from_child) in pairs(camera, sensors) {
         let (translation, rotation) =

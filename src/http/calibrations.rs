@@ -28,9 +28,7 @@ use crate::store::Store;
 #[derive(utoipa::IntoParams)]
 #[into_params(parameter_in = Query)]
 pub(super) struct ExportParameters {
-    /// json (when left out), ros, opencv, kalibr, mrcal, colmap; ros_stereo or opencv_stereo (two
-    /// cameras, rectified); urdf or tf (where the sensors are); depth (what readings mean,
-    /// corrected).
+    /// The format; json when left out. Its schema says what each is.
     #[param(schema_with = schemas::format, required = false)]
     format: Option<Format>,
     /// For formats that hold one sensor: color, infrared, infrared2, depth, or a rig's camera;

@@ -5,14 +5,16 @@ use utoipa::openapi::schema::{Object, ObjectBuilder, SchemaType, Type};
 use crate::export::Format;
 use crate::imaging::frame::SensorKind;
 
-/// The name of a format.
+/// The name of a format, and what each is.
 pub(super) fn format() -> Object {
-    one_of(Format::ALL.map(Format::name))
+    let each = Format::ALL.map(|format| format!("{}: {}", format.name(), format.description()));
+    let description = format!("json when left out. {}.", each.join("; "));
+    one_of(Format::ALL.map(Format::name)).description(Some(description)).build()
 }
 
 /// The kind of a sensor.
 pub(super) fn sensor_kind() -> Object {
-    one_of(SensorKind::ALL.map(SensorKind::name))
+    one_of(SensorKind::ALL.map(SensorKind::name)).build()
 }
 
 /// Limits of a lens's parameters, as smallest and largest: wider than any real lens needs, and
@@ -61,7 +63,7 @@ pub(super) fn region() -> Object {
     text.pattern(Some("^[0-9]{1,5},[0-9]{1,5},[1-9][0-9]{0,4},[1-9][0-9]{0,4}$")).build()
 }
 
-fn one_of<const N: usize>(names: [&'static str; N]) -> Object {
+fn one_of<const N: usize>(names: [&'static str; N]) -> ObjectBuilder {
     let text = ObjectBuilder::new().schema_type(SchemaType::Type(Type::String));
-    text.enum_values(Some(names)).build()
+    text.enum_values(Some(names))
 }
