@@ -23,24 +23,28 @@ where
     W: FnMut(T) -> R,
 {
     let items = Mutex::new(items.enumerate());
+    // A poisoned lock means that another thread panicked; the scope passes the panic on.
+    let next_item = || items.lock().ok().and_then(|mut items| items.next());
     thread::scope(|scope| {
         let (send, receive) = sync_channel::<(usize, R)>(2 * threads);
-        for _ in 0..threads.max(1) {
-            let (send, items, new_worker) = (send.clone(), &items, &new_worker);
-            scope.spawn(move || {
+        let start = |k: usize| {
+            let (send, next_item, new_worker) = (send.clone(), &next_item, &new_worker);
+            let work = move || {
                 let mut worker = new_worker();
-                loop {
-                    // A poisoned lock means that another thread panicked; the scope passes the
-                    // panic on.
-                    let Some((index, item)) = items.lock().ok().and_then(|mut items| items.next())
-                    else {
-                        return;
-                    };
+                while let Some((index, item)) = next_item() {
                     if send.send((index, worker(item))).is_err() {
                         return;
                     }
                 }
-            });
+            };
+            thread::Builder::new().name(format!("work-{k}")).spawn_scoped(scope, work).is_ok()
+        };
+        // Where the system has no more threads, those that it has suffice, or this one.
+        if (0..threads.max(1)).filter(|k| start(*k)).count() == 0 {
+            let mut worker = new_worker();
+            while let Some((_, item)) = next_item() {
+                take(worker(item))?;
+            }
         }
         drop(send);
         let (mut next, mut early) = (0, BTreeMap::new());

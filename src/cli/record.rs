@@ -215,15 +215,15 @@ fn find_camera<'a>(config: &'a Config, args: &Args) -> Result<&'a CameraConfig, 
 fn stopped_by_signal() -> Result<Arc<AtomicBool>, Failure> {
     let stop = Arc::new(AtomicBool::new(false));
     let seen = Arc::clone(&stop);
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .map_err(|error| Failure::failed(format!("signals could not be listened to: {error}")))?;
-    std::thread::spawn(move || {
+    let refused = |error| Failure::failed(format!("signals could not be listened to: {error}"));
+    let runtime =
+        tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(refused)?;
+    let wait = move || {
         if runtime.block_on(tokio::signal::ctrl_c()).is_ok() {
             seen.store(true, Ordering::Relaxed);
         }
-    });
+    };
+    std::thread::Builder::new().name("ctrl-c".to_owned()).spawn(wait).map_err(refused)?;
     Ok(stop)
 }
 
