@@ -44,7 +44,7 @@ def collect(name, request, says_guidance):
     camera = f"{ADDRESS}/v1/cameras/{name}"
     left = ask(camera)["session"]
     if left:
-        print("a session that an earlier demo left is stopped first", flush=True)
+        print("stopping a session left by an earlier demo", flush=True)
         ask(f"{ADDRESS}/v1/sessions/{left}/stop", {})
     session = ask(f"{camera}/sessions", request)
     reported = None
@@ -67,8 +67,8 @@ def report(session):
     sensor = calibration["sensors"]["color"]
     lens, std = sensor["lens"], sensor["lens_std"]
     used = sum(view["used"] for view in sensor["views"])
-    print(f"\ncalibrated from {used} views, rms {sensor['rms_px']:.3f} px; a projection is known to "
-          f"{sensor['uncertainty_px']['median']:.3f} px in the median, {sensor['uncertainty_px']['worst']:.3f} px at worst")
+    print(f"\ncalibrated from {used} views, rms {sensor['rms_px']:.3f} px; projection uncertainty "
+          f"{sensor['uncertainty_px']['median']:.3f} px median, {sensor['uncertainty_px']['worst']:.3f} px worst")
     for name in (name for name in lens if name != "model" and (lens[name] or std.get(name))):
         print(f"  {name:>4} {lens[name]:12.5f} ± {std[name]:.5f}")
     print(f"verdict: {calibration['verdict']['grade']}", *calibration["verdict"]["reasons"], sep="\n  ")
@@ -92,7 +92,7 @@ def main():
         wait_until_ready(daemon)
         print(f"plumb runs at {ADDRESS}; a session collects views from recordings/walk.mcap", flush=True)
         report(collect("front", REQUEST, says_guidance=False))
-        print("\na simulated operator now holds the board where the session asks for it; the page shows both", flush=True)
+        print("\na simulated operator now follows the guidance of the session; the page shows both cameras", flush=True)
         report(collect("followed", GUIDED, says_guidance=True))
         print("Ctrl-C ends it.", flush=True)
         daemon.wait()

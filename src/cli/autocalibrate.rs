@@ -23,16 +23,16 @@ use crate::geometry::lens::Lens;
 use crate::imaging::depth_image::DepthImage;
 use crate::imaging::point_cloud::{CloudPoint, to_ply};
 
-/// Calibrates a camera from images of a static scene, without a target.
+/// Calibrate a camera from images of a static scene, without a target.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The lens model to fit.
     #[arg(long, default_value = "auto")]
     lens: LensName,
-    /// A lens parameter that is known, as fx=600; may be given several times.
+    /// Hold a lens parameter fixed, as in fx=600. May be repeated.
     #[arg(long, value_name = "NAME=VALUE", value_parser = crate::cli::estimated::parameter)]
     given: Vec<GivenParameter>,
-    /// How many threads to use; all cores unless given. The result does not depend on it.
+    /// Number of threads [default: all cores]; the result does not depend on it.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
     /// Print the calibration as one JSON document.
@@ -44,8 +44,8 @@ pub struct Args {
     /// Write the scene's points to FILE (PLY).
     #[arg(long, value_name = "FILE.ply")]
     points: Option<PathBuf>,
-    /// Write COLMAP's cameras.txt, images.txt and points3D.txt to DIR, which is made if it is not
-    /// there.
+    /// Write COLMAP's cameras.txt, images.txt and points3D.txt to DIR, which is created if it does
+    /// not exist.
     #[arg(long, value_name = "DIR")]
     colmap: Option<PathBuf>,
     /// Images, folders of images, quoted globs, or recordings (.mcap, ROS bags); with depth beside
@@ -66,7 +66,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         file.as_deref().map_or(Ok(()), |file| check_no_image(option, file))?;
     }
     if args.out.is_some() && args.out == args.points {
-        return Err(Failure::usage("--out and --points name one file: give each its own"));
+        return Err(Failure::usage("--out and --points name the same file: choose two names"));
     }
     for (k, parameter) in args.given.iter().enumerate() {
         if args.given[..k].iter().any(|earlier| earlier.name == parameter.name) {
@@ -103,7 +103,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     if let Some(path) = &args.points {
         let units = match calibration.scale {
             Some(_) => "meters",
-            None => "parts of the greatest distance between two cameras",
+            None => "units of the greatest distance between two cameras",
         };
         write_file(path, &to_ply(&cloud(&calibration), units, "scene"))?;
     }

@@ -9,14 +9,14 @@ use crate::cli::{Failure, output};
 use crate::document::board_shape::BoardShapeDocument;
 use crate::imaging::board_drawing::{BoardOffsets, board_png};
 
-/// Draws the board as a calibration measured it: its heights, and how far its corners are off.
+/// Draw the board shape that a calibration measured: heights, and in-plane offsets of the corners.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The calibration document, as `plumb calibrate --out` and GET /v1/calibrations/{id} give it.
     #[arg(long, value_name = "FILE")]
     calibration: PathBuf,
-    /// Which sensor: color, infrared, infrared2, or a rig's camera; the first that measured the
-    /// board unless given.
+    /// The sensor: color, infrared, infrared2, or a camera of a rig [default: the first with a
+    /// measured board].
     #[arg(long, value_name = "NAME")]
     sensor: Option<String>,
     /// Where to write the image, as PNG.
@@ -42,7 +42,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     }
     let (name, shape) = calibration.image_sensors().find_map(measured).ok_or_else(|| {
         Failure::failed(format!(
-            "{file}: it has measured no board: its views show none that is uneven; calibrate with --board-shape free to have it measured for all that"
+            "{file}: it has no measured board shape, because its views show no deviation from a flat board; calibrate with --board-shape free to estimate it anyway"
         ))
     })?;
     let drawn = BoardShapeDocument::from(&shape);

@@ -23,7 +23,7 @@ use crate::estimation::given_range::check_given_range;
 use crate::geometry::target::Target;
 use crate::imaging::frame::SensorKind;
 
-/// Calibrates a camera from images of a chessboard, or from a recording.
+/// Calibrate a camera, an RGB-D camera or a rig from images or recordings of a calibration board.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -33,8 +33,8 @@ pub struct Args {
     /// The lens model to fit.
     #[arg(long, default_value = "auto")]
     lens: LensName,
-    /// A camera of a rig, as left=FOLDER_OR_RECORDING, in place of SOURCE; once for each camera.
-    /// Frames of equal names (in recordings of equal times) were taken together.
+    /// A camera of a rig, as left=FOLDER_OR_RECORDING, instead of SOURCE; repeat for each camera.
+    /// Images of the same name, or recorded frames of the same time, form a frame set.
     #[arg(long, value_name = "NAME=SOURCE", value_parser = named_source)]
     rig: Vec<NamedSource>,
     #[command(flatten)]
@@ -128,6 +128,6 @@ fn check_one_camera(sources: &[String]) -> Result<(), Failure> {
         .collect();
     let [first, second, ..] = whole.as_slice() else { return Ok(()) };
     Err(Failure::usage(format!(
-        "{first} and {second}: of one camera or of two? For two cameras write plumb calibrate --rig left={first} --rig right={second}; for one give its images, as a quoted glob: \"{first}/*\""
+        "{first} and {second}: are these one camera or two? For two cameras use plumb calibrate --rig left={first} --rig right={second}; for one, give its images as a quoted glob: \"{first}/*\""
     )))
 }

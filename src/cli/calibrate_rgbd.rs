@@ -306,7 +306,7 @@ impl<'a> RgbdGathering<'a> {
                 self.first_reason.unwrap_or_default()
             ))),
             None => Err(Failure::failed(format!(
-                "{}: it has depth but no color images, in which the board is seen: {}",
+                "{}: it has depth but no color images, and the board is detected in color: {}",
                 self.source,
                 if Path::new(self.source).is_dir() {
                     "put them into its folder color/, named as those in depth/ that were taken with them"

@@ -22,7 +22,7 @@ pub struct OutputArgs {
     /// Write the calibration to FILE.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// The format of FILE, or without --out of what is printed.
+    /// The output format, of FILE or (without --out) of standard output.
     #[arg(long)]
     format: Option<Format>,
 }
@@ -153,7 +153,7 @@ fn depth_lines(name: &str, depth: &DepthCalibration) -> Vec<String> {
     }
     if let (Some(first), Some(last)) = (depth.bias.first(), depth.bias.last()) {
         lines.push(format!(
-            "  off the board, measured less true, seen from {:.2} to {:.2} m:",
+            "  depth error on the board (measured − true), from {:.2} to {:.2} m:",
             first.from_m, last.to_m
         ));
     }
@@ -162,7 +162,7 @@ fn depth_lines(name: &str, depth: &DepthCalibration) -> Vec<String> {
             [range.before_m, range.after_m, range.rms_after_m].map(|meters| 1e3 * meters);
         let std = rms / f64::from(range.patches.max(1)).sqrt();
         lines.push(format!(
-            "  {:.2} to {:.2} m: {before:.1} mm as the device gives it, {after:.2} ± {std:.2} mm corrected ({rms:.1} mm rms over {} patches)",
+            "  {:.2} to {:.2} m: {before:.1} mm uncorrected, {after:.2} ± {std:.2} mm corrected ({rms:.1} mm rms over {} patches)",
             range.from_m, range.to_m, range.patches
         ));
     }
@@ -176,7 +176,7 @@ fn sensor_lines(name: &str, sensor: &ImageCalibration) -> Vec<String> {
         format!("{name}: {} lens for {} images", model, sensor.image_size),
         format!("  views: {used} of {} used, rms {:.4} px", sensor.views.len(), sensor.rms_px),
         format!(
-            "  projections are known to {:.3} px in the center, {:.3} px in the median, {:.3} px at worst (1 sigma)",
+            "  projection uncertainty (1 sigma): {:.3} px at the center, {:.3} px median, {:.3} px worst",
             sensor.uncertainty_px.center, sensor.uncertainty_px.median, sensor.uncertainty_px.worst
         ),
     ];
@@ -184,7 +184,8 @@ fn sensor_lines(name: &str, sensor: &ImageCalibration) -> Vec<String> {
     let together = undetermined_coefficients(&sensor.lens, &sensor.lens_std, sensor.image_size);
     for ((name, value), std) in names.iter().zip(sensor.lens.parameters()).zip(&sensor.lens_std) {
         if *std > 0.0 || value != 0.0 {
-            let note = if together.contains(name) { ", known only with the others" } else { "" };
+            let note =
+                if together.contains(name) { ", strongly correlated with the others" } else { "" };
             lines.push(format!("  {name:4} {value:>14.6} ± {std:.6}{note}"));
         }
     }
@@ -212,7 +213,7 @@ fn sensor_lines(name: &str, sensor: &ImageCalibration) -> Vec<String> {
     }
     for compared in &sensor.compared {
         lines.push(format!(
-            "  compared: {} off by {:.4} px on held-out views",
+            "  compared: {}, {:.4} px rms on held-out views",
             compared.model, compared.held_out_rms_px
         ));
     }

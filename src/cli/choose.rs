@@ -16,12 +16,12 @@ use crate::estimation::problem::{CameraProblem, LensChoice};
 /// Which images of many to take.
 #[derive(Debug, clap::Args)]
 pub struct ChooseArgs {
-    /// Calibrate from the N images that together teach most.
+    /// Calibrate from the N images that are together the most informative.
     #[arg(long, value_name = "N", conflicts_with = "order",
         value_parser = clap::value_parser!(u32).range(3..))]
     choose: Option<u32>,
-    /// Print, in place of the calibration, the images in the order in which each teaches most
-    /// beside those before it, and the view that would teach most next.
+    /// Instead of the calibration, print the images in order of information gain (each given those
+    /// before it), and the most informative next view.
     #[arg(long, conflicts_with_all = ["out", "format"])]
     order: bool,
 }
@@ -37,14 +37,14 @@ pub type ViewsAndOthers = (CameraProblem, Vec<(usize, CalibratedView)>);
 #[derive(Debug, Serialize)]
 struct OrderDocument {
     /// The most informative image comes first.
-    order: Vec<TaughtDocument>,
+    order: Vec<ImageGainDocument>,
     /// The view that would add the most information to all of them.
     next: Option<NextDocument>,
 }
 
 /// The information of one image.
 #[derive(Debug, Serialize)]
-struct TaughtDocument {
+struct ImageGainDocument {
     name: String,
     /// The worst projection uncertainty over the image, from this image and those before it, in
     /// pixels.
@@ -73,7 +73,7 @@ impl ChooseArgs {
     pub fn refuse(&self, what: &str) -> Result<(), Failure> {
         if self.is_asked() {
             return Err(Failure::usage(format!(
-                "--choose and --order take the images of one camera, not {what}: leave them out"
+                "--choose and --order work for images of a single camera, not for {what}: remove these options"
             )));
         }
         Ok(())
@@ -144,10 +144,10 @@ fn chosen_images(
 /// an image has larger residuals, the solve with it is more conclusive.
 fn not_chosen(gain: f64) -> String {
     if !(gain >= SEEN_GAIN) {
-        return "not chosen: it teaches little beside the chosen ones".to_owned();
+        return "not chosen: it adds little information to the chosen images".to_owned();
     }
     format!(
-        "not chosen: if it fits as well as the others, it lowers the uncertainty by {:.0} %",
+        "not chosen: it would lower the uncertainty by {:.0} %, if its residuals are as small as the others'",
         100.0 * gain
     )
 }
@@ -161,7 +161,7 @@ fn print_order(problem: &CameraProblem, solved: &SolvedCamera, json: bool) -> Re
     let stated_px = solved.sensor.uncertainty_px.worst;
     let order = Pool::of(problem, estimate, GoalFigure::Worst).order();
     let wider = order.last().map_or(1.0, |last| stated_px / last.after_px);
-    let taught = |step: &PoolStep| TaughtDocument {
+    let with_gain = |step: &PoolStep| ImageGainDocument {
         name: problem.views[step.view].name.clone(),
         uncertainty_px: wider * step.after_px,
         gain: 1.0 - step.after_px / step.before_px,
@@ -175,24 +175,24 @@ fn print_order(problem: &CameraProblem, solved: &SolvedCamera, json: bool) -> Re
                 / view.uncertainty_px,
         })
     });
-    let document = OrderDocument { order: order.iter().map(taught).collect(), next };
+    let document = OrderDocument { order: order.iter().map(with_gain).collect(), next };
     if json {
         return output::print_json(&document);
     }
     let mut lines: Vec<String> = (document.order.iter().enumerate())
-        .map(|(place, taught)| {
-            let TaughtDocument { name, uncertainty_px, gain } = taught;
+        .map(|(place, image)| {
+            let ImageGainDocument { name, uncertainty_px, gain } = image;
             let less = if *gain < SEEN_GAIN {
-                "teaches little".to_owned()
+                "adds little".to_owned()
             } else {
                 format!("{:.1} % less", 100.0 * gain)
             };
-            format!("{:>4} {uncertainty_px:>10.3} px at worst {less:>14}  {name}", place + 1)
+            format!("{:>4} {uncertainty_px:>10.3} px worst {less:>14}  {name}", place + 1)
         })
         .collect();
     lines.extend(document.next.map(|next| {
         let NextDocument { message, uncertainty_px, expected_uncertainty_px, .. } = next;
-        format!("next: {message}: {expected_uncertainty_px:.3} px at worst in place of {uncertainty_px:.3}")
+        format!("next: {message}: worst uncertainty {expected_uncertainty_px:.3} px instead of {uncertainty_px:.3} px")
     }));
     output::print_line(&lines.join("\n"))
 }

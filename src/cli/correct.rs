@@ -24,35 +24,35 @@ use crate::imaging::image_file::frame_from_file;
 use crate::imaging::point_cloud::to_ply;
 use crate::imaging::registration::DepthRegistration;
 
-/// Writes corrected (and registered) depth as 16-bit PNG, and colored point clouds
+/// Write corrected (and registered) depth as 16-bit PNG, and colored point clouds
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The calibration document of a camera with depth, as `plumb calibrate --out` gives it
     #[arg(long, value_name = "FILE")]
     calibration: PathBuf,
-    /// Bring depth into the color image (color), or color into the depth image, as
-    /// NAME-color.png beside it (depth)
+    /// color: register depth to the color image; depth: register color to the depth image, written
+    /// beside it as NAME-color.png
     #[arg(long, value_name = "SENSOR", value_parser = ["color", "depth"])]
     register: Option<String>,
-    /// Write the points as NAME.ply too, in the color camera's frame; with their colors where the
-    /// color image is there
+    /// Also write the points as NAME.ply, in the color camera's frame, with colors where there is a
+    /// color image
     #[arg(long)]
     cloud: bool,
-    /// Where the color image shows the calibration's board (held still), say how far depth is
-    /// off it before and after correction, and draw it as NAME-error.png
+    /// For images in which color shows the calibration board (held still), report the depth error
+    /// on the board before and after correction, and draw it as NAME-error.png
     #[arg(long)]
     errors: bool,
     /// Correct and register each image N times; elapsed_ms is the fastest
     #[arg(long, value_name = "N", default_value_t = 1)]
     repeat: u32,
-    /// Meters per unit of what is written; 0 is no reading
+    /// Unit of the written depth images, in meters; a pixel of 0 means no reading
     #[arg(long, value_name = "METRES", default_value_t = 0.001)]
     unit: f64,
-    /// The folder to write to; made if it is not there
+    /// The folder to write to; created if it does not exist
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Print one JSON document: what was written, and how much of it lies beyond the distances that
-    /// were calibrated
+    /// Print one JSON document: what was written, and how much of it is outside the calibrated
+    /// depth range
     #[arg(long)]
     json: bool,
     #[command(flatten)]
@@ -277,12 +277,12 @@ fn report(args: &Args, written: Vec<CorrectedImage>, failures: &[String]) -> Res
         output::print_line(&format!("{}: {count} corrected depth {images}", args.out.display()))?;
         if beyond > 0 {
             output::print_line(&format!(
-                "{beyond} readings lie beyond the distances that were calibrated: corrected as at the nearest"
+                "{beyond} readings are outside the calibrated depth range: the correction at the nearest end of the range was used"
             ))?;
         }
         if too_far > 0 {
             output::print_line(&format!(
-                "{too_far} readings are too far for --unit {}, and are not in the images: give a larger unit",
+                "{too_far} readings exceed the 16-bit range at --unit {} and were left out: give a larger unit",
                 args.unit
             ))?;
         }

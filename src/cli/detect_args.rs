@@ -6,7 +6,7 @@ use crate::cli::Failure;
 use crate::cli::sources::TopicArgs;
 use crate::cli::target_args::ShapeArgs;
 
-/// Finds a chessboard in each image.
+/// Detect a calibration board (chessboard, ChArUco board or AprilGrid) in each image.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -14,13 +14,13 @@ pub struct Args {
     /// Print a line of JSON for each image, in the order given.
     #[arg(long)]
     pub(super) json: bool,
-    /// Also answer with part of a board where the whole is not seen.
+    /// Also report partially visible boards.
     #[arg(long)]
     pub(super) allow_partial: bool,
     /// Search each image N times; elapsed_ms is the fastest.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     pub(super) repeat: u32,
-    /// How many images to search at once; all cores unless given.
+    /// Number of images searched in parallel [default: all cores].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub(super) threads: Option<u16>,
     #[command(flatten)]

@@ -9,7 +9,7 @@ use crate::capture::device_list::{
 use crate::cli::{Failure, output};
 use crate::geometry::pixel::ImageSize;
 
-/// Lists the cameras that each backend sees, with their formats and stable names
+/// List the cameras that each backend finds, with their formats and stable names
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Print one JSON document

@@ -30,26 +30,25 @@ enum ShutterName {
 /// What is estimated, and what is known.
 #[derive(Debug, clap::Args)]
 pub struct EstimatedArgs {
-    /// Estimate skew too; else it is 0.
+    /// Also estimate skew (otherwise 0).
     #[arg(long)]
     skew: bool,
-    /// Let fx be fy.
+    /// Constrain fx = fy.
     #[arg(long)]
     square_pixels: bool,
-    /// A lens parameter that is known, as fx=600, or of a rig a whole lens that is, as
-    /// left.color=calibration.json; may be given several times.
+    /// Hold a lens parameter fixed, as in fx=600; for a rig, hold the whole lens of one camera
+    /// fixed, as in left.color=calibration.json. May be repeated.
     #[arg(long, value_name = "NAME=VALUE", value_parser = given)]
     given: Vec<GivenArgument>,
-    /// What shape the board has: as stated unless the views show otherwise (auto), as stated
-    /// (flat), estimated whatever they show (free), or as the calibration document in FILE measured
-    /// it.
+    /// The board's shape. auto: as stated, unless the views show deviations; flat: as stated; free:
+    /// always estimated; FILE: as measured in the calibration document FILE.
     #[arg(long, value_name = "auto|flat|free|FILE", default_value = "auto", value_parser = board_shape)]
     board_shape: BoardShapeArgument,
     /// The same as --board-shape free.
     #[arg(long, hide = true)]
     warp: bool,
-    /// How the sensor reads its rows: all at once unless the views show motion between them (auto),
-    /// all at once (global), or one after another (rolling).
+    /// The shutter model. auto: global, unless the views show a rolling shutter; global: all rows
+    /// at once; rolling: row after row.
     #[arg(long, value_name = "KIND", default_value = "auto")]
     shutter: ShutterName,
 }
@@ -173,7 +172,7 @@ fn measured_board(file: &Path) -> Result<MeasuredBoard, Failure> {
     let mut shapes = calibration.image_sensors().filter_map(|(_, s)| s.board_shape.clone());
     shapes.next().ok_or_else(|| {
         Failure::failed(format!(
-            "{}: it has measured no board; calibrate with --board-shape free to have it measured",
+            "{}: it has no measured board shape; calibrate with --board-shape free to estimate it",
             file.display()
         ))
     })

@@ -14,7 +14,7 @@ use crate::export::{ExportOptions, Exported, Format, export};
 use crate::geometry::image_region::ImageRegion;
 use crate::geometry::pixel::ImageSize;
 
-/// Converts a stored calibration to another program's format.
+/// Convert a stored calibration to another program's format.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The calibration document, as `plumb calibrate --out` and GET /v1/calibrations/{id} give it.
@@ -23,26 +23,26 @@ pub struct Args {
     /// The format to write.
     #[arg(long)]
     format: Format,
-    /// Which sensor, where the calibration has several and the format holds one: color, infrared,
-    /// infrared2, depth, or a rig's camera [default: color]. Of a stereo format two of them, as
-    /// left,right [default: the two cameras of a rig]; of kalibr several, in the chain's order.
+    /// The sensor to export, for formats with a single sensor: color, infrared, infrared2, depth,
+    /// or a camera of a rig [default: color]. Stereo formats take two, as in left,right [default:
+    /// the two cameras of a rig]; kalibr takes several, in chain order.
     #[arg(long, value_name = "NAME")]
     sensor: Option<String>,
-    /// Of ros, ros_stereo and opencv_stereo: 0 for rectified images of which every pixel is seen, 1
-    /// for those that hold everything that was seen.
+    /// For ros, ros_stereo and opencv_stereo: free scaling parameter of the rectified image, as in
+    /// OpenCV. 0: only valid pixels; 1: all source pixels are retained.
     #[arg(long, default_value_t = 0.0)]
     alpha: f64,
-    /// The part of the images it was made with that those show that it is wanted for, in pixels
+    /// Convert the calibration to images cropped to this region of the original images, in pixels
     /// from the top left, as in 160,120,320,240.
     #[arg(long, value_name = "LEFT,TOP,WIDTH,HEIGHT")]
     crop: Option<ImageRegion>,
-    /// Width of the images to write it for, where they (or that part of them) are scaled.
+    /// Convert the calibration to images scaled to this width (after --crop).
     #[arg(long, value_name = "PIXELS", requires = "height")]
     width: Option<u32>,
-    /// Height of those images.
+    /// Height of the scaled images.
     #[arg(long, value_name = "PIXELS", requires = "width")]
     height: Option<u32>,
-    /// Where to write; standard output unless given. Of ros_stereo the folder that gets both files.
+    /// Output file [default: standard output]; for ros_stereo, the folder for the two files.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Print one JSON document that holds the file and what to know about it.

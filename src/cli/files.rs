@@ -72,7 +72,7 @@ pub fn same_file(one: &Path, other: &Path) -> bool {
 pub fn check_not_read(out: &Path, read: &[&Path]) -> Result<(), Failure> {
     if read.iter().any(|read| same_file(out, read)) {
         return Err(Failure::usage(format!(
-            "{} is read by this command, and would be written over: give the output another name",
+            "{} is an input of this command and would be overwritten: choose another output name",
             out.display()
         )));
     }
@@ -87,7 +87,7 @@ pub fn check_not_read(out: &Path, read: &[&Path]) -> Result<(), Failure> {
 pub fn check_no_image(option: &str, out: &Path) -> Result<(), Failure> {
     if out.is_file() && (is_image(out) || is_recording_file(out)) {
         return Err(Failure::usage(format!(
-            "{option} {}: an image or a recording is there: name the file to write",
+            "{option} {}: an image or a recording already exists there: choose another name",
             out.display()
         )));
     }

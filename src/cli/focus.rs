@@ -6,7 +6,7 @@ use crate::document::focus::FocusDocument;
 use crate::geometry::board::BoardSize;
 use crate::geometry::thin_lens::ThinLens;
 
-/// Says between which distances a lens is sharp, and which board to hold where
+/// Compute a lens's depth of field, and which board to use at which distance
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The focal length, as in 8mm
@@ -27,7 +27,7 @@ pub struct Args {
     /// Inner corners of the board, COLSxROWS
     #[arg(long, default_value = "9x6")]
     board: BoardSize,
-    /// The widest disc that a sharp point may become, in pixels
+    /// Largest acceptable circle of confusion, in pixels
     #[arg(long, value_name = "PIXELS", default_value_t = 1.0)]
     blur: f64,
     /// Print the answer as one JSON document
@@ -61,7 +61,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         args.blur, depth.near_m, focus.hyperfocal_m
     ))?;
     output::print_line(&format!(
-        "a calibration should find a focal length near {:.1} px",
+        "expected focal length of the calibration: about {:.1} px",
         focus.focal_px
     ))?;
     focus.board.map_or(Ok(()), |board| {

@@ -215,14 +215,14 @@ pub(super) fn check_size(
         return Ok(());
     }
     Err(Failure::failed(format!(
-        "{} is {size}, but {first} is {expected}: calibrate each size of image by itself",
+        "{} is {size}, but {first} is {expected}: calibrate each image size separately",
         image.path
     )))
 }
 
 /// The reason for an image that shows the same as another one.
 pub(super) fn same_as(name: &str) -> String {
-    format!("the same view as {name}: it counts once")
+    format!("a duplicate of {name}: it counts once")
 }
 
 /// An image that is not a view; its reason is stored without the image's name, which is printed

@@ -23,8 +23,9 @@ impl ValueEnum for LensName {
 
     fn to_possible_value(&self) -> Option<PossibleValue> {
         Some(match self.0 {
-            LensChoice::Auto => PossibleValue::new("auto")
-                .help("the one with the smallest error on views that were not fitted to"),
+            LensChoice::Auto => {
+                PossibleValue::new("auto").help("the model with the smallest held-out error")
+            }
             LensChoice::Model(model) => {
                 PossibleValue::new(model.name()).help(model.facts().summary)
             }

@@ -65,7 +65,7 @@ use clap::{Parser, Subcommand};
 
 pub use failure::Failure;
 
-/// Finds chessboards, calibrates cameras, and says how far to trust the result.
+/// Detect calibration boards, calibrate cameras, and state the uncertainty of the result.
 #[derive(Debug, Parser)]
 #[command(name = "plumb", version, max_term_width = 100)]
 struct Arguments {

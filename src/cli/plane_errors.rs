@@ -69,7 +69,7 @@ impl PlaneErrors {
         let parts = board.zip(sensors);
         let (board, ((color, depth), color_from_depth)) = parts.ok_or_else(|| {
             Failure::failed(
-                "--errors needs a calibration by a board, of color and depth; calibrate with plumb calibrate",
+                "--errors needs a board calibration of color and depth: make one with `plumb calibrate`",
             )
         })?;
         Ok(Self {

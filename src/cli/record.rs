@@ -18,7 +18,7 @@ use crate::recording::{McapWriter, RecordingError, RepairedRecording, Ros2Writer
 /// The longest wait for a frame: between two waits, a request to stop is noticed.
 const WAIT: Duration = Duration::from_millis(200);
 
-/// Records what a configured camera gives, until it ends, N seconds have passed, or Ctrl-C
+/// Record a configured camera until its source ends, N seconds have passed, or Ctrl-C
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The camera's name in the configuration
@@ -27,7 +27,7 @@ pub struct Args {
     /// The recording to write; with --ros2 a folder
     #[arg(long, value_name = "FILE.mcap", required_unless_present = "repair")]
     out: Option<PathBuf>,
-    /// Record nothing: give a recording that was cut off its index, in place
+    /// Record nothing; rebuild, in place, the index of a recording that was cut off
     #[arg(long, value_name = "FILE.mcap", conflicts_with_all = ["camera", "out", "ros2", "seconds"])]
     repair: Option<PathBuf>,
     /// Write a ROS 2 bag: a folder with an MCAP file and its metadata.yaml

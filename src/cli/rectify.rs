@@ -31,8 +31,8 @@ const TOGETHER_NS: i64 = 8_000_000;
 /// The side of a square, which does not affect where a board is found.
 const ANY_SQUARE_M: f64 = 0.025;
 
-/// Writes the images of two cameras so that what one shows in a row the other shows in the same
-/// row, and measures how well they do where a board is seen
+/// Rectify the images of a stereo pair, so that epipolar lines are image rows, and measure the row
+/// differences of a board's corners
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The calibration of the rig, as `plumb calibrate --rig … --out FILE` and
@@ -42,18 +42,18 @@ pub struct Args {
     /// Which two of its cameras, the left (or the upper) one first [default: the rig's two]
     #[arg(long, value_name = "LEFT,RIGHT")]
     cameras: Option<String>,
-    /// 0: every pixel of the results is seen; 1: everything that was seen is in the results
+    /// 0: the results have only valid pixels; 1: all source pixels are retained
     #[arg(long, default_value_t = 0.0)]
     alpha: f64,
-    /// The folder to write to, with a folder for each camera in it; made if it is not there.
+    /// The folder to write to, with a folder for each camera in it; created if it does not exist.
     /// Results are PNG files with the images' names
     #[arg(long, value_name = "DIR", default_value = "rectified")]
     out: PathBuf,
-    /// The board that rows are measured by: its inner corners, as in 9x6 [default: the board of
-    /// the calibration]
+    /// The board whose corners measure the row differences: its inner corners, as in 9x6 [default:
+    /// the board of the calibration]
     #[arg(long, value_name = "COLSxROWS")]
     board: Option<BoardSize>,
-    /// The same as a file: a chessboard, a ChArUco board or an AprilGrid
+    /// The board as a file: a chessboard, ChArUco board or AprilGrid
     #[arg(long, value_name = "FILE", conflicts_with = "board")]
     target: Option<PathBuf>,
     /// Print one JSON document: the matrices R, P and Q, and each pair with its results and the
@@ -64,7 +64,7 @@ pub struct Args {
     reading: TopicArgs,
     /// Images of the left camera: a file, a folder, a quoted glob or a recording
     left: String,
-    /// Those of the right camera, taken together with them, in the same order
+    /// Images of the right camera, taken together with them, in the same order
     right: String,
 }
 
@@ -277,7 +277,10 @@ impl Rectifier {
 
     /// The row differences of a board's corners, or the reason why there are none.
     fn differences(&mut self, gray: &[GrayImage]) -> Result<Vec<f64>, String> {
-        let finder = self.finder.as_mut().ok_or("no board is known to measure rows by")?;
+        let finder = self
+            .finder
+            .as_mut()
+            .ok_or("no board is given to measure row differences with: give --board or --target")?;
         let options = DetectOptions { allow_partial: true };
         let mut found: Vec<Detection> = Vec::new();
         for (image, which) in gray.iter().zip(["left", "right"]) {
@@ -359,7 +362,7 @@ fn report(
     output::print_line(&format!("{}: {count} rectified pairs; {all}", args.out.display()))?;
     match rows.filter(|rows| rows.rms_px > NO_PAIR_PX) {
         Some(_) => Err(Failure::failed(format!(
-            "{lines} of images that are taken together differ by {NO_PAIR_PX} px at most: check that both are of this rig, of one moment, and the left camera's first"
+            "{lines} differ by more than {NO_PAIR_PX} px (rms), which those of no stereo pair do: check that the images are of this rig, taken at the same time, and that the left camera comes first"
         ))),
         None => Ok(()),
     }

@@ -36,7 +36,7 @@ impl ResultFiles {
     pub(super) fn write(&mut self, path: &str, out: &Path, bytes: &[u8]) -> Result<(), String> {
         if out.canonicalize().is_ok_and(|known| self.read.contains(&known)) {
             let name = out.display();
-            return Err(format!("{name} would be written over the image; give another --out"));
+            return Err(format!("{name} would overwrite the input image; choose another --out"));
         }
         if !self.written.insert(out.to_owned()) {
             let name = out.display();

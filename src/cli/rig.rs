@@ -196,7 +196,7 @@ impl SearchedSource {
                 let reason = match (copies.get(&image.path), &image.answer) {
                     (Some(original), _) => same_as(original),
                     (None, Err(no_board)) => no_board.to_string(),
-                    (None, Ok(_)) => "its corners determine no pose".to_owned(),
+                    (None, Ok(_)) => "no pose can be estimated from its corners".to_owned(),
                 };
                 self.unused.push((place, unused(image.path.clone(), &reason)));
             }
@@ -253,7 +253,7 @@ fn frame_sets(
     let timed = searched.iter().filter(|frames| is_timed(frames)).count();
     if timed != 0 && timed != searched.len() {
         return Err(Failure::usage(
-            "a rig's sources are all folders, whose names say what was taken together, or all recordings, whose times do",
+            "the sources of a rig must be all folders (frames are matched by name) or all recordings (matched by time)",
         ));
     }
     let frame_sets = if timed > 0 { by_time(searched) } else { by_name(searched) };
@@ -268,7 +268,7 @@ fn frame_sets(
     let firsts: Vec<String> = cameras.iter().zip(searched).map(first).collect();
     let how = if timed > 0 { "times" } else { "names" };
     Err(Failure::failed(format!(
-        "no two cameras have frames of equal {how} ({}): give frames that were taken together equal {how}",
+        "no two cameras have frames with the same {how} ({}): frames taken together must have the same {how}",
         firsts.join(", ")
     )))
 }

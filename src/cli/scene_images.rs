@@ -51,7 +51,7 @@ pub(super) fn scene_images<'a>(
     let count = frame_sets().filter(has_image).count();
     let is_taken = |frames: &Result<SourcedFrames, Unreadable>| count == 0 || has_image(frames);
     if count > MAX_IMAGES {
-        tracing::warn!("{MAX_IMAGES} of {count} images are taken, evenly over all");
+        tracing::warn!("{count} images given: {MAX_IMAGES} of them are used, evenly spaced");
     }
     // An image is taken where the rounded number of images taken grows.
     let is_chosen = |place: usize| {

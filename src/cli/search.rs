@@ -91,7 +91,7 @@ pub(super) fn read_luma(frames: &SourcedFrames, image: &mut GrayImage) -> Result
 pub(super) fn warn_of_rotation(rotated: usize, images: usize) {
     if rotated > 0 {
         tracing::warn!(
-            "{rotated} of {images} images state a rotation (EXIF) that is not applied: read them with cv2.IMREAD_IGNORE_ORIENTATION"
+            "{rotated} of {images} images have an EXIF rotation, which is not applied: to use this calibration, read them with cv2.IMREAD_IGNORE_ORIENTATION"
         );
     }
 }

@@ -13,7 +13,7 @@ pub struct SearchArgs {
     /// Also use images in which only part of the board is seen.
     #[arg(long)]
     pub(super) allow_partial: bool,
-    /// How many images to search at once; all cores unless given.
+    /// Number of images searched in parallel [default: all cores].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub(super) threads: Option<u16>,
     #[command(flatten)]

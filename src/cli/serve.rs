@@ -9,14 +9,13 @@ use crate::daemon;
 /// The configuration that is read by default, if it exists.
 const DEFAULT_FILE: &str = "plumb.toml";
 
-/// Runs the daemon: cameras, calibration sessions, HTTP.
+/// Run the daemon: cameras, calibration sessions, HTTP.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// The configuration, TOML; plumb.toml of this folder, if it is there, unless given.
+    /// The configuration, TOML [default: plumb.toml in the current folder, if it exists].
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// The address to listen on, in place of the configuration's; 127.0.0.1:8600 if neither gives
-    /// one.
+    /// The address to listen on, instead of the configuration's [default: 127.0.0.1:8600].
     #[arg(long, value_name = "ADDR")]
     listen: Option<String>,
 }

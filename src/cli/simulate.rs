@@ -37,13 +37,13 @@ const START_UTC_NS: i64 = 1_767_225_600_000_000_000;
 /// The camera's name in simulated recordings.
 const CAMERA: &str = "front";
 
-/// Renders a recording with exact ground truth beside it
+/// Render a recording with exact ground truth beside it
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// The recording to write; what is true of it goes beside it, with the ending .truth.json
+    /// The recording to write; its ground truth is written beside it as .truth.json
     #[arg(long, value_name = "FILE.mcap", required_unless_present = "operator")]
     out: Option<PathBuf>,
-    /// What everything random follows from [default: as the scene says, or 1]
+    /// Seed of the random number generator [default: the scene's seed, or 1]
     #[arg(long)]
     seed: Option<u64>,
     /// A scene as TOML: camera, lens, board, walk (recordings/README.md lists the keys)
@@ -51,7 +51,7 @@ pub struct Args {
     config: Option<PathBuf>,
     #[command(flatten)]
     operated: operated::OperatedArgs,
-    /// Print what is true as JSON
+    /// Print the ground truth as JSON
     #[arg(long)]
     json: bool,
 }

@@ -13,18 +13,18 @@ use crate::document::problem::{Method, ProblemDocument};
 use crate::estimation::given_range::check_given_range;
 use crate::estimation::problem::{CameraProblem, LensChoice};
 
-/// Calibrates a camera from given correspondences of points and pixels.
+/// Calibrate a camera from given correspondences of points and pixels.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// The lens model to fit; the problem's own, else auto, unless given.
+    /// The lens model to fit [default: the one in PROBLEM.json, or auto].
     #[arg(long)]
     lens: Option<LensName>,
     #[command(flatten)]
     output: OutputArgs,
     #[command(flatten)]
     estimated: EstimatedArgs,
-    /// The most threads to use. A solve takes one: it is done in milliseconds, and the result could
-    /// not depend on it.
+    /// Maximum number of threads. A solve takes milliseconds and uses only one; the result does not
+    /// depend on this.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
     /// The problem:
@@ -46,7 +46,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     };
     if document.method == Method::Dlt && !(args.lens.is_none() && args.estimated.is_default()) {
         return Err(Failure::usage(
-            "the method dlt estimates a pinhole camera with skew from one view: leave out --lens and what else is estimated or given",
+            "the method dlt estimates a pinhole camera with skew from one view: leave out --lens, --skew, --square-pixels, --given, --board-shape and --shutter",
         ));
     }
     let problem = CameraProblem::try_from(&document).map_err(|error| in_file(&error))?;

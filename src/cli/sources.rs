@@ -14,12 +14,12 @@ use crate::recording::{ReadOptions, Recording, is_bag_folder, is_recording_file,
 /// What of a recording is read.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct TopicArgs {
-    /// The camera's topic in a bag or MCAP file of several, or its beginning up to a slash; again
-    /// for depth where its name does not say whose it is
+    /// The camera's topic, or a prefix of it that ends at a slash, if the bag or MCAP file has
+    /// several cameras; repeat for a depth topic whose name does not show which camera it belongs
+    /// to
     #[arg(long = "topic", value_name = "TOPIC")]
     topics: Vec<String>,
-    /// Take each frame of a recording as an image that was chosen by hand, not those alone that a
-    /// live session would keep
+    /// Use every frame of a recording, not only those that a live session would keep
     #[arg(long)]
     every_frame: bool,
 }

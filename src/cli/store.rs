@@ -10,7 +10,7 @@ use crate::document::time;
 use crate::pipeline::recording_retention::{RecordingRetention, prune_folder, recordings_folder};
 use crate::store::{Retention, Store, StoreReader};
 
-/// Checks, copies, repairs or prunes the store of sessions and calibrations.
+/// Check, back up, repair or prune the store of sessions and calibrations.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(subcommand)]
@@ -19,20 +19,20 @@ pub struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Task {
-    /// Reads every row against its checksum and says what is damaged; the daemon may be running.
+    /// Verify the checksum of every row and report damage; the daemon may be running.
     Check(Check),
-    /// Copies the store as it is now to a new file; the daemon may be running.
+    /// Copy the store as it is now to a new file; the daemon may be running.
     Backup(Backup),
-    /// Moves a damaged database aside and puts what can be read of it in its place.
+    /// Move a damaged database aside and replace it with its readable rows.
     Repair(Repair),
-    /// Deletes old sessions with their images, and old recordings; calibrations stay.
+    /// Delete old sessions with their images, and old recordings; calibrations are kept.
     Prune(Prune),
 }
 
 /// Which store.
 #[derive(Debug, clap::Args)]
 struct StorePlace {
-    /// The store's folder: `path` in [store] of plumb.toml, else plumb-data, unless given.
+    /// The store's folder [default: `path` in [store] of plumb.toml, else plumb-data].
     #[arg(long, value_name = "DIR")]
     store: Option<PathBuf>,
     /// The daemon's configuration, which names the store.
@@ -44,7 +44,7 @@ struct StorePlace {
 struct Check {
     #[command(flatten)]
     place: StorePlace,
-    /// Prints JSON.
+    /// Print JSON.
     #[arg(long)]
     json: bool,
 }
@@ -53,7 +53,8 @@ struct Check {
 struct Backup {
     #[command(flatten)]
     place: StorePlace,
-    /// The file to write; named plumb.sqlite in a folder of its own it is a store by itself.
+    /// The file to write. If it is named plumb.sqlite in its own folder, that folder can be used as
+    /// a store.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
 }
@@ -68,25 +69,25 @@ struct Repair {
 struct Prune {
     #[command(flatten)]
     place: StorePlace,
-    /// Deletes sessions that began longer ago, in days.
+    /// Delete sessions that started more than this many days ago.
     #[arg(long, value_name = "N")]
     keep_days: Option<u32>,
-    /// Keeps the newest so many sessions.
+    /// Keep only the newest N sessions.
     #[arg(long, value_name = "N")]
     keep_sessions: Option<u32>,
-    /// Deletes the oldest until the database holds no more, in millions of bytes.
+    /// Delete the oldest sessions until the database is at most this many megabytes.
     #[arg(long, value_name = "N")]
     keep_mb: Option<u32>,
-    /// Deletes recordings that began longer ago, in days.
+    /// Delete recordings that started more than this many days ago.
     #[arg(long, value_name = "N")]
     keep_recording_days: Option<u32>,
-    /// Keeps the newest so many recordings.
+    /// Keep only the newest N recordings.
     #[arg(long, value_name = "N")]
     keep_recordings: Option<u32>,
-    /// Deletes the oldest recordings until all together hold no more, in millions of bytes.
+    /// Delete the oldest recordings until all together are at most this many megabytes.
     #[arg(long, value_name = "N")]
     keep_recordings_mb: Option<u32>,
-    /// Only says what would be deleted.
+    /// Only list what would be deleted.
     #[arg(long)]
     dry_run: bool,
 }
@@ -127,7 +128,7 @@ fn check(args: &Check) -> Result<(), Failure> {
     match count {
         0 => Ok(()),
         _ => Err(Failure::failed(format!(
-            "store {}: damaged in {count} places; `plumb store repair` keeps what can be read",
+            "store {}: {count} damaged places; `plumb store repair` rebuilds a damaged database from its readable rows; a row with a wrong checksum can only be restored from a backup",
             folder.display()
         ))),
     }
@@ -146,7 +147,7 @@ fn repair(args: &Repair) -> Result<(), Failure> {
     drop(StoreReader::open(&folder).map_err(Failure::failed)?);
     let (_, report) = Store::open_or_repair(&folder, 0).map_err(Failure::failed)?;
     output::print_line(&report.map_or_else(
-        || "the database is whole; nothing was changed".to_owned(),
+        || "SQLite finds no damage, nothing was changed; `plumb store check` also verifies the checksum of every row".to_owned(),
         |report| report.to_string(),
     ))
 }
@@ -161,7 +162,7 @@ fn prune(args: &Prune) -> Result<(), Failure> {
     };
     if retention == Retention::default() && of_recordings == RecordingRetention::default() {
         return Err(Failure::usage(
-            "nothing says what to keep; give --keep-days, --keep-sessions or --keep-mb, or for recordings --keep-recording-days, --keep-recordings or --keep-recordings-mb",
+            "no limit is given; give --keep-days, --keep-sessions or --keep-mb, or for recordings --keep-recording-days, --keep-recordings or --keep-recordings-mb",
         ));
     }
     let folder = folder_of(&args.place)?;

@@ -10,7 +10,7 @@ use crate::cli::{Failure, output};
 use crate::document::target_file::target_to_json;
 use crate::geometry::printed_board::PrintedBoard;
 
-/// Prints a board: a chessboard, a ChArUco board or an AprilGrid.
+/// Draw a board to print: a chessboard, a ChArUco board or an AprilGrid.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The target, as JSON or TOML, or Kalibr's YAML.
@@ -22,7 +22,7 @@ pub struct Args {
     /// Dots per inch of a PNG.
     #[arg(long, default_value_t = 300, value_parser = clap::value_parser!(u32).range(20..=2400))]
     dpi: u32,
-    /// Where to: a file that ends in .pdf, .svg or .png. The target is written beside it as JSON.
+    /// The file to write: .pdf, .svg or .png. The target definition is written beside it as JSON.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
 }

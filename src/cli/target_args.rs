@@ -19,7 +19,7 @@ pub struct TargetArgs {
     /// The side of one square, with its unit, as in 25mm.
     #[arg(long, required_unless_present = "target")]
     square: Option<Length>,
-    /// The target in FILE, in place of --board and --square: a chessboard, a ChArUco board or an
+    /// Read the target from FILE instead of --board and --square: a chessboard, ChArUco board or
     /// AprilGrid as JSON or TOML, or Kalibr's YAML.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["board", "square"])]
     target: Option<PathBuf>,
@@ -32,9 +32,9 @@ pub struct ShapeArgs {
     /// along a column.
     #[arg(long, required_unless_present = "target")]
     board: Option<BoardSize>,
-    /// The target in FILE, in place of --board: a chessboard, a ChArUco board or an AprilGrid as
-    /// JSON or TOML, or Kalibr's YAML; in `plumb detect`, auto names the ChArUco board or AprilGrid
-    /// that is seen.
+    /// Read the target from FILE instead of --board: a chessboard, ChArUco board or AprilGrid as
+    /// JSON or TOML, or Kalibr's YAML. For `plumb detect`, `auto` recognizes the board in the
+    /// image.
     #[arg(long, value_name = "FILE", conflicts_with = "board")]
     target: Option<PathBuf>,
 }

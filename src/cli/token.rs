@@ -9,8 +9,7 @@ use crate::http::tokens::{AccessToken, TokenRole};
 /// Bytes of a token: twice the 128 bits that cannot be guessed.
 const TOKEN_BYTES: usize = 32;
 
-/// Makes, lists and revokes the tokens that let clients in; a running daemon reads them again on
-/// SIGHUP.
+/// Create, list and revoke access tokens; a running daemon rereads them on SIGHUP.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(subcommand)]
@@ -19,11 +18,11 @@ pub struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum TokenTask {
-    /// Makes a token and prints it; the file keeps only its hash.
+    /// Create a token and print it; the file keeps only its hash.
     Add(Add),
-    /// Prints who has a token, and its role.
+    /// List who has a token, and its role.
     List(List),
-    /// Removes a token.
+    /// Remove a token.
     Revoke(Revoke),
 }
 

@@ -10,17 +10,16 @@ use crate::document::uncertainty::UncertaintyMapDocument;
 use crate::estimation::uncertainty::{Distance, MedianAndWorst, UncertaintyMap};
 use crate::imaging::heat_map::{GridValues, ONE_SIGMA_PX, heat_map_png};
 
-/// Says how well a calibration knows where things are seen, over the image.
+/// Report a calibration's projection uncertainty over the image.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The calibration document, as `plumb calibrate --out` and GET /v1/calibrations/{id} give it.
     #[arg(long, value_name = "FILE")]
     calibration: PathBuf,
-    /// Which sensor: color, infrared, infrared2, or a rig's camera; the first there is unless
-    /// given.
+    /// The sensor: color, infrared, infrared2, or a camera of a rig [default: the first].
     #[arg(long, value_name = "NAME")]
     sensor: Option<String>,
-    /// How far away things are, with its unit, as in 2m; at infinity unless given.
+    /// The distance of the scene, with its unit, as in 2m [default: infinity].
     #[arg(long, value_name = "LENGTH")]
     distance: Option<Length>,
     /// Where to write a heat map with contours, as PNG.
@@ -73,7 +72,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let MedianAndWorst { median_px, worst_px } = map.median_and_worst().ok_or_else(none)?;
     let center = map.center().ok_or_else(none)?;
     output::print_line(&format!(
-        "{name}: projections are known to {center:.3} px in the center, {median_px:.3} px in the median, {worst_px:.3} px at worst (1 sigma)"
+        "{name}: projection uncertainty (1 sigma): {center:.3} px at the center, {median_px:.3} px median, {worst_px:.3} px worst"
     ))
 }
 

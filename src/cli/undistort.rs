@@ -14,20 +14,20 @@ use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::SensorKind;
 use crate::imaging::undistort::{UndistortOptions, Undistortion};
 
-/// Writes undistorted images
+/// Write undistorted images
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The calibration document, as `plumb calibrate --out` and GET /v1/calibrations/{id} give it
     #[arg(long, value_name = "FILE")]
     calibration: PathBuf,
-    /// The folder to write to; made if it is not there. Results are PNG files with the images'
+    /// The folder to write to; created if it does not exist. Results are PNG files with the images'
     /// names
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Whose images they are, where the calibration has several cameras or sensors
+    /// The camera or sensor that took the images, if the calibration has several
     #[arg(long, value_name = "NAME")]
     sensor: Option<String>,
-    /// 0: every pixel of a result is seen; 1: everything that was seen is in the result
+    /// 0: the result has only valid pixels; 1: all source pixels are retained
     #[arg(long, default_value_t = 0.0)]
     balance: f64,
     /// Print one JSON document: the lens of an ideal camera that would take the results, and each

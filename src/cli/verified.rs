@@ -52,7 +52,7 @@ impl Verified {
         match self.depth.as_ref().is_none_or(VerifiedDepth::saw_all) && self.saw_lens() {
             _ if !self.holds => "does not hold",
             true => "holds",
-            false => "holds as far as can be seen",
+            false => "holds, as far as these images can show",
         }
     }
 
@@ -76,7 +76,7 @@ pub(super) fn same_size(
         return Ok(());
     }
     Err(Failure::failed(format!(
-        "the images are {size}, {file} is for {}: give images of that size, or the calibration exported for theirs",
+        "the images are {size}, but {file} is for {}: give images of that size, or convert the calibration to theirs (plumb export --width --height)",
         sensor.image_size
     )))
 }
@@ -92,9 +92,9 @@ pub(super) fn print(verified: &Verified, file: &str, json: bool) -> Result<(), F
     let answer = verified.answer();
     let Verified { moved_px, limit_px, views, depth, reasons, .. } = verified;
     let rms = verified.rms_px.map(|rms_px| format!("rms {rms_px:.3} px, ")).unwrap_or_default();
-    let seen = if verified.saw_lens() { "" } else { " where these images show it" };
+    let seen = if verified.saw_lens() { "" } else { " as far as these images can show" };
     output::print_line(&format!(
-        "{file} {answer}: {views} views, {rms}projections off by {moved_px:.3} px{seen}, {limit_px:.3} px allowed"
+        "{file} {answer}: {views} views, {rms}projection error {moved_px:.3} px{seen}, limit {limit_px:.3} px"
     ))?;
     let of_depth = depth.as_ref().map(VerifiedDepth::lines).unwrap_or_default();
     of_depth.iter().chain(reasons).try_for_each(|line| output::print_line(&format!("  {line}")))

@@ -30,13 +30,13 @@ use crate::geometry::target::Target;
 /// result.
 const ANY_SQUARE_M: f64 = 0.025;
 
-/// Says whether a calibration still holds for what the camera sees now
+/// Check whether a calibration still holds for current images of the camera
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The calibration document, as `plumb calibrate --out` gives it
     #[arg(long, value_name = "FILE")]
     calibration: PathBuf,
-    /// Whose images they are, where the calibration has several cameras or sensors
+    /// The camera or sensor that took the images, if the calibration has several
     #[arg(long, value_name = "NAME")]
     sensor: Option<String>,
     #[command(flatten)]
@@ -127,16 +127,16 @@ fn verify(
     let holds = reasons.is_empty();
     let is_calibration_weaker = change.is_some_and(|change| change.visible_px < calibrated_px);
     let remedy = if is_calibration_weaker {
-        "calibrate again with more and more tilted views"
+        "calibrate again with more views, tilted more strongly"
     } else {
-        "show the board in more places, tilted"
+        "show the board in more poses, tilted"
     };
     match visible_px {
         Some(visible) if visible > CERTAIN_PX => reasons.push(format!(
-            "these {views} views and the calibration would show a change of the lens from {visible:.1} px on: {remedy}"
+            "a lens change of less than {visible:.1} px cannot be detected with these {views} views and this calibration: {remedy}"
         )),
         None => reasons.push(format!(
-            "these {views} views determine no lens by themselves, so that most of what may have changed cannot be seen: show the board in at least 3 places, tilted"
+            "these {views} views do not determine a lens, so most lens changes cannot be detected: show the board in at least 3 poses, tilted"
         )),
         Some(_) => {}
     }

@@ -70,7 +70,7 @@ impl VerifiedDepth {
             let mm = |meters: f64| meters * 1000.0;
             let std = range.bias_std_m.map(|std_m| format!(" ± {:.1}", mm(std_m)));
             format!(
-                "depth, {from:.2} to {to:.2} m: {:+.1}{} mm off the board, spread {:.1} mm, {:.1} mm allowed",
+                "depth, {from:.2} to {to:.2} m: {:+.1}{} mm error on the board (mean), {:.1} mm (std), limit {:.1} mm",
                 mm(range.bias_m),
                 std.unwrap_or_default(),
                 mm(range.spread_m),
@@ -103,11 +103,11 @@ impl VerifiedDepth {
         };
         match check.visible_m {
             Some(visible_m) if visible_m > CERTAIN_M => reasons.push(format!(
-                "{what} would show a move of the depth camera from {:.0} mm on: show the board in more places, tilted",
+                "{what} can only show a motion of the depth camera of {:.0} mm or more: show the board in more poses, tilted",
                 visible_m * 1000.0
             )),
             None => reasons.push(format!(
-                "{what} cannot show every move of the depth camera, as sideways along a board that is not tilted: show the board in at least 3 places, tilted"
+                "{what} cannot show every motion of the depth camera (for example, parallel to an untilted board): show the board in at least 3 poses, tilted"
             )),
             Some(_) => {}
         }
@@ -136,11 +136,11 @@ fn change(check: &DepthCheck) -> String {
     if check.is_scaled() {
         let percent = 100.0 * check.relative_bias;
         return format!(
-            "depth reads {percent:+.1} % off the board in all views alike, {sigmas:.0} times as far as the calibration predicts: check the board's square and the depth images' unit; if they are as then, calibrate again"
+            "depth differs from the board by {percent:+.1} % in all views, {sigmas:.0} times the predicted uncertainty: check the square size and the unit of the depth images; if both are as at calibration, calibrate again"
         );
     }
     format!(
-        "depth is off the board, {sigmas:.0} times as far as the calibration predicts: check that depth and color are of the same device, moment and orientation; if they are, the sensors have moved: calibrate again"
+        "depth differs from the board by {sigmas:.0} times the predicted uncertainty: check that depth and color are of the same device, time and orientation; if they are, the sensors have moved: calibrate again"
     )
 }
 

@@ -36,7 +36,9 @@ pub(super) fn verify_scene(
     spinner.finish_and_clear();
     let scene = solved.map_err(Failure::failed)?.into_calibration();
     scene.guide().and_then(|scene| compared(sensor, scene)).ok_or_else(|| {
-        Failure::failed("the images leave the lens open: show texture in all of the image")
+        Failure::failed(
+            "the images do not determine the lens: show texture in all parts of the image",
+        )
     })
 }
 
@@ -52,7 +54,7 @@ fn compared(calibrated: &ImageCalibration, scene: &ImageCalibration) -> Option<V
     let holds = moved_px <= limit_px;
     if !holds {
         reasons.push(
-            "the lens that the scene shows is another one (refocused, zoomed, knocked?): calibrate again"
+            "the scene does not fit the calibrated lens, which has changed (refocused, zoomed, knocked?): calibrate again"
                 .to_owned(),
         );
     }
@@ -60,10 +62,10 @@ fn compared(calibrated: &ImageCalibration, scene: &ImageCalibration) -> Option<V
         let remedy = if scene_px > calibrated_px {
             "give more images, from more places and with texture in all of the image"
         } else {
-            "calibrate again with more and more tilted views"
+            "calibrate again with more views, tilted more strongly"
         };
         reasons.push(format!(
-            "scene ({scene_px:.1} px) and calibration ({calibrated_px:.1} px) together hide changes of less than {limit_px:.1} px: {remedy}"
+            "lens changes of less than {limit_px:.1} px cannot be detected (uncertainty of the scene's lens {scene_px:.1} px, of the calibration {calibrated_px:.1} px): {remedy}"
         ));
     }
     Some(Verified {

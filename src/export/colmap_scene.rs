@@ -66,7 +66,7 @@ fn image_names(paths: &[&str]) -> (Vec<String>, Option<String>) {
     let blanks = blanks.first().map(|first| {
         let count = blanks.len();
         format!(
-            "COLMAP reads a name up to its first blank, and images.txt has _ for blanks: rename the images alike ({count}, the first is `{first}`)"
+            "COLMAP reads names only up to the first space, so images.txt has _ for spaces: rename {count} images accordingly (the first is `{first}`)"
         )
     });
     let repeated = repeated.map(|(name, count)| {

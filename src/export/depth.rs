@@ -11,7 +11,7 @@ use crate::geometry::depth_camera::DepthReading;
 
 pub(super) const FACTS: FormatFacts = FormatFacts {
     name: "depth",
-    description: "What depth readings mean, corrected: text (docs/depth-correction reads it)",
+    description: "Depth correction as text (readers in docs/depth-correction)",
     media_type: "text/plain; charset=utf-8",
     file_name: FileName::WithSuffix("-depth.txt"),
     holds_all: false,

@@ -23,7 +23,7 @@ pub enum ExportError {
     },
     /// The nearest lens the format has is too far off.
     #[error(
-        "the {format} format has no {model} lens, and its nearest lens {}; calibrate with --lens brown --given k3=0, which it holds, or with --lens {instead}, or export to another format (json holds every lens)",
+        "the {format} format has no {model} lens, and its nearest lens {}; calibrate with --lens brown --given k3=0, or with --lens {instead}, or export to another format (json holds every lens)",
         how_far(*worst_px)
     )]
     Refit {
@@ -66,7 +66,7 @@ pub enum ExportError {
     },
     /// There is nothing to place.
     #[error(
-        "the {format} format says where sensors are, and this calibration has no two whose places are known: calibrate a camera with color and depth, or a rig"
+        "the {format} format holds the relative poses of sensors, and this calibration has none: calibrate a camera with color and depth, or a rig"
     )]
     NoPlaces {
         /// The format.
@@ -90,7 +90,7 @@ pub enum ExportError {
     #[error("{0}")]
     Rectification(#[from] RectificationError),
     /// A pair is two.
-    #[error("the {format} format is of two cameras: `{asked}` is not two names, as in left,right")]
+    #[error("the {format} format takes two cameras: `{asked}` is not two names, as in left,right")]
     StereoNames {
         /// The format.
         format: Format,
@@ -99,7 +99,7 @@ pub enum ExportError {
     },
     /// The format's readers take the first camera as the left one.
     #[error(
-        "the {format} format has the {} camera first, and that is `{first}`: ask for {first},{second}", if *is_vertical { "upper" } else { "left" }
+        "the {format} format takes the {} camera first, which is `{first}`: write {first},{second}", if *is_vertical { "upper" } else { "left" }
     )]
     StereoOrder {
         /// The format.
@@ -123,7 +123,7 @@ pub enum ExportError {
     },
     /// Rectified images have one size.
     #[error(
-        "the {format} format has one size for both cameras, and these have {} and {}; export for images of one size (--width, --height), or to json", sizes[0], sizes[1]
+        "the {format} format needs images of one size, and these are {} and {}; scale them (--width, --height), or export to json", sizes[0], sizes[1]
     )]
     StereoSizes {
         /// The format.
@@ -133,7 +133,7 @@ pub enum ExportError {
     },
     /// OpenCV's functions are of one kind of lens.
     #[error(
-        "the {format} format has one kind of lens for both cameras, and these are {} and {}; calibrate both with one of them", models[0].name(), models[1].name()
+        "the {format} format needs the same lens model for both cameras, and these are {} and {}; calibrate both with one of them", models[0].name(), models[1].name()
     )]
     StereoModels {
         /// The format.
@@ -156,6 +156,6 @@ fn how_far(worst_px: f64) -> String {
     if worst_px.is_finite() {
         format!("is off by up to {worst_px:.2} px")
     } else {
-        "does not see the whole image".to_owned()
+        "does not cover the whole image".to_owned()
     }
 }

@@ -172,7 +172,7 @@ fn a_chain_says_where_each_camera_is_from_the_one_before() {
 fn a_chain_states_which_cameras_it_leaves_out() {
     let exported = export(&rig(), Format::Kalibr, &ExportOptions::default()).unwrap();
     let note = exported.note.unwrap();
-    assert_eq!(note, "left out, because where it is against left is not known: isolated");
+    assert_eq!(note, "left out, because the pose relative to left is unknown: isolated");
     let chain = String::from_utf8(exported.bytes).unwrap();
     assert!(chain.starts_with(&format!("# {note}\ncam0:\n")), "{chain}");
     assert!(chain.contains("cam1:") && !chain.contains("cam2:"), "{chain}");
@@ -203,8 +203,8 @@ fn sensors_are_in_the_order_asked_for_or_the_order_is_refused() {
     for format in [Format::RosStereo, Format::OpencvStereo] {
         assert_eq!(written("left,right", format).unwrap(), text(&pair, format));
         let refused = written("right,left", format).unwrap_err();
-        assert!(refused.contains("the left camera first, and that is `left`"), "{refused}");
-        assert!(refused.contains("ask for left,right"), "{refused}");
+        assert!(refused.contains("takes the left camera first, which is `left`"), "{refused}");
+        assert!(refused.contains("write left,right"), "{refused}");
     }
     for format in [Format::Json, Format::Colmap, Format::Urdf, Format::Tf] {
         let refused = written("right,left", format).unwrap_err();

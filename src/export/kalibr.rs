@@ -146,7 +146,7 @@ fn held_lens(sensor: &Sensor<'_>) -> Result<(KalibrModel, Lens, Option<String>),
         return Err(refused(refit.worst_px));
     }
     let note = format!(
-        "kalibr's radtan lens has no {model} coefficients beyond k1, k2, p1, p2: refitted over the whole image, off by {:.4} px rms and {:.4} px at worst",
+        "kalibr's radtan has only k1, k2, p1, p2: the {model} lens was refitted over the whole image, and differs by {:.4} px rms and {:.4} px at worst",
         refit.rms_px, refit.worst_px
     );
     Ok((known, refit.lens, Some(note)))

@@ -35,13 +35,13 @@ pub enum OtherImagesError {
         error: RegionError,
     },
     /// A crop is of one sensor's images.
-    #[error("the calibration has several sensors, and a crop is of one: say which of {}", .known.join(", "))]
+    #[error("the calibration has several sensors, and a crop applies to one: name one of {}", .known.join(", "))]
     SeveralSensors {
         /// The names of its image sensors.
         known: Vec<String>,
     },
     /// It has no such sensor.
-    #[error("the calibration has no image sensor `{name}`: say one of {}", .known.join(", "))]
+    #[error("the calibration has no image sensor `{name}`: name one of {}", .known.join(", "))]
     UnknownSensor {
         /// The name that was asked for.
         name: String,

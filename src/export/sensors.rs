@@ -116,7 +116,7 @@ pub(super) fn one_sensor<'a>(
             match several.iter().find(|sensor| *sensor.id == SensorId::own(SensorKind::Color)) {
                 Some(color) => {
                     let note = format!(
-                        "this is the color sensor of several ({}): ask for the others by name, and for where they are by the format urdf or tf",
+                        "only the color sensor of several ({}) is exported: name the others to export them, and use the format urdf or tf for their poses",
                         known()
                     );
                     Ok((color.clone(), Some(note)))
@@ -188,7 +188,7 @@ pub(super) fn placed_sensors(
 pub(super) fn left_out(first: &Sensor<'_>, open: &[Sensor<'_>]) -> Option<String> {
     let note = || {
         let (first, open) = (&first.name, names(open));
-        format!("left out, because where it is against {first} is not known: {open}")
+        format!("left out, because the pose relative to {first} is unknown: {open}")
     };
     (!open.is_empty()).then(note)
 }

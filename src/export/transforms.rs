@@ -12,7 +12,7 @@ use crate::geometry::pose::Pose;
 
 pub(super) const URDF: FormatFacts = FormatFacts {
     name: "urdf",
-    description: "Where the sensors are: URDF with fixed joints",
+    description: "Sensor poses as URDF with fixed joints",
     media_type: "application/xml",
     file_name: FileName::WithSuffix(".urdf"),
     holds_all: true,
@@ -21,7 +21,7 @@ pub(super) const URDF: FormatFacts = FormatFacts {
 
 pub(super) const TF: FormatFacts = FormatFacts {
     name: "tf",
-    description: "Where the sensors are: YAML of ROS static transforms",
+    description: "Sensor poses as ROS static transforms (YAML)",
     media_type: "application/yaml",
     file_name: FileName::WithSuffix("-tf.yaml"),
     holds_all: true,

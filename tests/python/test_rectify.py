@@ -172,7 +172,7 @@ def test_what_is_no_stereo_pair_is_one_line(plumb, tmp_path):
     vertical.write_text(json.dumps(document(["brown", "brown"], RIGS["vertical"])))
     for arguments, words in (
         (("export", "--calibration", single, "--format", "opencv_stereo"), "needs two cameras, and this calibration has color"),
-        (("export", "--calibration", mixed, "--format", "opencv_stereo"), "one kind of lens for both cameras"),
+        (("export", "--calibration", mixed, "--format", "opencv_stereo"), "the same lens model for both cameras"),
         (("export", "--calibration", vertical, "--format", "ros_stereo", "--sensor", "left,rear"), "no image sensor `rear`"),
         (("export", "--calibration", vertical, "--format", "ros_stereo", "--sensor", "left"), "not two names"),
         (("rectify", "--rig", swapped, "a.png", "b.png"), "`left` is right of `right`: give --cameras right,left"),

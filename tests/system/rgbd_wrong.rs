@@ -257,7 +257,7 @@ fn verify_compares_depth_with_the_board_and_says_what_it_saw() {
     let wrong = [
         (Change::Depth(mirrored), "same device"),
         (Change::Depth(moved), "same device"),
-        (Change::Depth(scaled), "% off the board in all views"),
+        (Change::Depth(scaled), "% in all views"),
     ];
     for (change, word) in wrong {
         let (holds, answer) = verify(&verified, change);
@@ -266,7 +266,7 @@ fn verify_compares_depth_with_the_board_and_says_what_it_saw() {
     }
     let (_, answer) = verify(&verified[..1], Change::Nothing);
     assert!(answer["depth"]["visible_m"].is_null(), "{answer}");
-    assert!(answer["reasons"].to_string().contains("cannot show every move"), "{answer}");
+    assert!(answer["reasons"].to_string().contains("cannot show every motion"), "{answer}");
 }
 
 /// In three of its views the board moves in the 12 ms between color and depth.

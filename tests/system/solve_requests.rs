@@ -235,7 +235,7 @@ fn a_measured_board_is_drawn_and_given_to_the_next_solve() {
     assert_eq!(plumb(["solve", "--out", &of_flat, &flat]).code, Some(0));
     let none = plumb(["board", "--calibration", &of_flat, "--out", &png]);
     assert_eq!(none.code, Some(1));
-    assert!(none.stderr.contains("measured no board"), "{}", none.stderr);
+    assert!(none.stderr.contains("no measured board shape"), "{}", none.stderr);
 }
 
 #[test]

@@ -120,7 +120,7 @@ fn a_damaged_store_is_served_as_far_as_it_is_whole() {
 
     let checked = store_command(folder.path(), "check", &[]);
     assert_eq!(checked.code, Some(1));
-    assert!(checked.stderr.contains("`plumb store repair` keeps what can be read"));
+    assert!(checked.stderr.contains("`plumb store repair` rebuilds"));
     let served = Served::start(folder.path(), &replaying("front", "walk.mcap"));
     let (left, _) = listed(&served, "");
     assert!(left.iter().all(|id| ids.contains(id)), "{left:?}");
@@ -128,7 +128,7 @@ fn a_damaged_store_is_served_as_far_as_it_is_whole() {
     assert_eq!(start_and_abort(&served).len(), ids[0].len(), "and sessions go on");
     drop(served);
     let repaired = store_command(folder.path(), "repair", &[]);
-    assert_eq!(repaired.stdout.trim(), "the database is whole; nothing was changed");
+    assert_eq!(repaired.stdout.trim(), "SQLite finds no damage, nothing was changed");
     let pruned = store_command(folder.path(), "prune", &["--keep-sessions", "0"]);
     assert!(pruned.stdout.contains(" deleted"), "{}{}", pruned.stdout, pruned.stderr);
     let empty = store_command(folder.path(), "check", &["--json"]);

@@ -36,9 +36,9 @@ use crate::simulation::{Operator, OperatorKind};
 /// Sessions with a simulated operator.
 #[derive(Debug, clap::Args)]
 pub struct OperatedArgs {
-    /// Run sessions with a simulated operator in place of rendering: one who follows what is asked
-    /// for, who follows the list of placements, who wanders, or who fills the bars of ROS's
-    /// calibrator
+    /// Instead of rendering, run sessions with a simulated operator who follows the guidance,
+    /// follows the fixed list of placements, moves at random, or fills the bars of ROS's
+    /// camera_calibration
     #[arg(long, value_name = "WHAT", conflicts_with_all = ["out", "config"])]
     operator: Option<OperatorName>,
     /// The projection uncertainty to reach, the median over the image, in pixels
