@@ -90,6 +90,7 @@ const ALLOWED_TEXT: &[&str] = &[
     "turn the camera",
     "turn it by 90",
     "view.picture",
+    "aria-labelledby",
 ];
 
 /// Names that mean the same in every file: the arguments of one command.

@@ -7,9 +7,11 @@ const SVG = "http://www.w3.org/2000/svg";
 const FORMATS = ["json", "ros", "opencv", "kalibr", "mrcal", "colmap"];
 const OF_ONE_SENSOR = ["ros", "opencv", "mrcal"];
 const REASONS = {
-  no_corners: "no board", no_grid: "corners without a grid", other_size: "another board", low_contrast: "too little contrast",
-  image_too_small: "image too small", cut_off: "cut off", incomplete: "covered", partial: "partly out of view",
-  blurred: "blurred", moving: "moving", too_similar: "nothing new", unreadable: "unreadable", no_image: "color missing", other_image_size: "other size", no_texture: "too little texture", unknown_scene: "another scene", full: "session full",
+  no_corners: "no board", no_grid: "no grid", no_lattice: "no grid", no_markers: "no markers", other_size: "wrong board size",
+  other_board: "another board", low_contrast: "too little contrast", image_too_small: "image too small", cut_off: "cut off",
+  incomplete: "occluded", partial: "partly visible", two_places: "position ambiguous", mirrored: "mirrored image", blurred: "blurred",
+  moving: "moving", too_similar: "nothing new", unreadable: "unreadable", no_image: "no color image",
+  other_image_size: "wrong image size", no_texture: "too little texture", unknown_scene: "scene not recognized", full: "session full",
 };
 const VERDICTS = { good: "Good: use it", usable: "Usable, with care", poor: "Poor: do not use it" };
 
@@ -71,7 +73,7 @@ function wait(text, held = null) {
 
 async function begin() {
   let [cameras, rigs] = [[], []];
-  wait("Asking the daemon for the session…");
+  wait("Loading the session…");
   try {
     [{ cameras }, { rigs }] = await Promise.all([ask("/v1/cameras"), ask("/v1/rigs")]);
   } catch (error) {
@@ -139,7 +141,7 @@ async function showNewest() {
   await showHistory();
   if (!rig && camera.session && !own.some((one) => one.id === camera.session)) {
     const held = await ask(at`/v1/sessions/${camera.session}`);
-    wait(`This camera is in a session of the rig ${held.camera}: choose it above to see how far it is.`, held.id);
+    wait(`This camera is in a session of the rig ${held.camera}: select the rig above to follow it.`, held.id);
   }
 }
 
@@ -411,7 +413,7 @@ async function setSession(document) {
 }
 
 function showNumbers(running) {
-  const titles = { collecting: "Collecting", solving: "Solving…", failed: "No calibration", aborted: "Given up", finished: "Done" };
+  const titles = { collecting: "Collecting", solving: "Solving…", failed: "No calibration", aborted: "Aborted", finished: "Done" };
   say("session-title", titles[session.state]);
   const estimate = session.estimate;
   const set = (id, text) => { if ($(id).textContent !== text) $(id).textContent = text; };
@@ -464,7 +466,7 @@ function toGo() {
   const range = session.guidance.views_to_go;
   if (!range || session.state !== "collecting") return "";
   const [few, many] = range;
-  if (few > 500) return " · out of reach like this";
+  if (few > 500) return " · not reachable with this board and these images";
   const views = few === many ? `${few}` : `${few} to ${Math.min(many, 999)}`;
   const seconds = (Date.now() - new Date(session.started_at)) / 1000;
   const each = session.views_kept > 2 ? seconds / session.views_kept : 0;
@@ -595,9 +597,9 @@ function showPlaces(extrinsics) {
 function showDepth(depth) {
   show("depth", Boolean(depth));
   if (!depth) return;
-  const corrected = depth.correction ? "Corrected; each range by what was fitted to other views." : "The device's own depth is as good: nothing is corrected.";
+  const corrected = depth.correction ? "Corrected; the errors below are cross-validated." : "The device's own depth is as good, so no correction is applied.";
   const noise = (z) => (1000 * (depth.noise_m.constant + depth.noise_m.quadratic * z * z)).toFixed(1);
-  say("depth-what", `${corrected} One reading's noise: ${noise(1)} mm at 1 m, ${noise(2)} mm at 2 m.`);
+  say("depth-what", `${corrected} Noise of a single reading: ${noise(1)} mm at 1 m, ${noise(2)} mm at 2 m.`);
   fill("depth", depth.bias_m.ranges.map((range) => [`${range.from.toFixed(2)} to ${range.to.toFixed(2)}`,
     (1000 * range.before).toFixed(1), (1000 * range.after).toFixed(1), (1000 * range.rms_after).toFixed(1)]));
 }
@@ -651,8 +653,8 @@ async function press(button, errorPlace, act) {
 const KINDS = {
   chessboard: ["Corners in a row", "Square, mm", "Count the inner corners, where four squares meet, and measure one square: the wider the span you measure, the better."],
   charuco: ["Squares in a row", "Square, mm", "Count the squares, black and white, and measure one square and one marker: the wider the span you measure, the better."],
-  scene: ["", "", "Nothing is counted or measured: move the camera around a scene that stands still and has texture, sideways above all, and turn it by 90 degrees about its axis now and then."],
-  aprilgrid: ["Tags in a row", "Tag, mm", "Count the tags, and measure a tag with its black border, and the gap between two tags as a part of that."],
+  scene: ["", "", "There is nothing to count or measure: move the camera around a static scene with texture, mainly sideways, and roll it by 90 degrees from time to time."],
+  aprilgrid: ["Tags in a row", "Tag, mm", "Count the tags, and measure a tag with its black border, and the gap between two tags, divided by the tag size."],
 };
 const KIND_FIELDS = ["marker", "dictionary", "spacing", "family", "first_id"];
 
@@ -693,7 +695,7 @@ $("detect-target").addEventListener("click", () => press($("detect-target"), "st
   say("seen-target", "Searching…");
   try {
     const seen = await ask(at`/v1/cameras/${rig ? rig.cameras[0] : camera.name}/target`);
-    say("seen-target", seen.found ? `${seen.name}. Measure and write in its lengths.` : seen.reason);
+    say("seen-target", seen.found ? `${seen.name}. Measure its lengths and enter them below.` : seen.reason);
     if (seen.found) fillTarget(seen.target);
   } catch (error) {
     say("seen-target", "");
