@@ -7,8 +7,8 @@ use utoipa::ToSchema;
 use crate::document::error::DocumentError;
 use crate::estimation::measured_board::{MeasuredBoard, RollingShutter};
 
-/// A board's shape as a solve measured it, relative to the one that was stated; a rigid motion is
-/// no shape, and the mean scale is the stated one. All in meters, in the board frame.
+/// The measured shape of a board, as offsets from the stated corners, in meters, in the board
+/// frame. A rigid motion and the mean scale are removed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct BoardShapeDocument {
     /// Root mean square of how far the corners are from where they were stated.
@@ -33,8 +33,8 @@ pub struct RollingShutterDocument {
     pub translation_m: f64,
     /// Root mean square rotation likewise, in radians.
     pub rotation_rad: f64,
-    /// 1 where views agree that it is there; else the part of it, 0 to 1, that is beyond chance, as
-    /// which it counts.
+    /// Weight of the motion in the solve: 1 where the views agree that there is a rolling shutter,
+    /// otherwise the part of the evidence that is beyond chance, 0 to 1.
     #[serde(default = "agreed")]
     pub agreement: f64,
 }

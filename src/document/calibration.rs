@@ -33,8 +33,9 @@ pub struct CalibrationDocument {
     pub created_at: jiff::Timestamp,
     /// The board or the scene; null where correspondences were given without one.
     pub target: Option<TargetDocument>,
-    /// The unit of lengths, without a board only: `m` where depth gives it, else null: images do
-    /// not determine it, and the greatest distance between two used cameras is 1.
+    /// Unit of length, only in a calibration without a board: `m` where depth determines the scale.
+    /// Otherwise null: images alone do not determine it, and lengths are such that the greatest
+    /// distance between two used cameras is 1.
     #[schema(value_type = Option<String>)]
     #[serde(
         default,
@@ -53,7 +54,7 @@ pub struct CalibrationDocument {
     /// Where the sensors are relative to each other; empty for one sensor.
     #[serde(default)]
     pub extrinsics: Vec<ExtrinsicsDocument>,
-    /// How it does beyond the views it was fitted to.
+    /// Checks on data that was not fitted.
     pub checks: ChecksDocument,
     /// How far to trust it.
     pub verdict: VerdictDocument,

@@ -47,8 +47,7 @@ pub struct CameraDocument {
     pub dropped_frames: u64,
     /// Which device it is.
     pub identity: CameraIdentityDocument,
-    /// What the device states of its own sensors, as it left the factory; left out where it states
-    /// nothing.
+    /// The factory calibration that the device reports; left out where it reports none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub factory: Option<FactoryDocument>,
     /// The running session, if there is one.
@@ -77,12 +76,12 @@ pub struct CameraIdentityDocument {
     pub bus: Option<String>,
 }
 
-/// What a device states of its own sensors, in the shapes of a calibration.
+/// The factory calibration that a device reports, in the format of a calibration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct FactoryDocument {
     /// Its sensors, by name.
     pub sensors: BTreeMap<String, FactorySensorDocument>,
-    /// Where they are, against color.
+    /// Their poses relative to color.
     pub extrinsics: Vec<FactoryExtrinsicsDocument>,
     /// What the readings of its depth images mean; left out where nothing is stated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -96,7 +95,7 @@ pub struct FactorySensorDocument {
     pub image_size: [u32; 2],
     /// The device's own name of its lens model.
     pub stated_model: String,
-    /// The lens; null where the device's model has none here that says the same.
+    /// The lens; null where no lens model of Plumb is equivalent to the device's.
     pub lens: Option<LensDocument>,
     /// Meters per unit of depth.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -41,7 +41,7 @@ pub struct DepthDocument {
     pub bias_m: BiasDocument,
     /// Noise of a reading: constant + quadratic · z², in meters.
     pub noise_m: NoiseDocument,
-    /// By how much infrared and depth are taken later than the color image they come with, in
+    /// Delay of infrared and depth relative to the color image of the same frame set, in
     /// milliseconds; left out where the board's motion does not determine it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time_offset_ms: Option<f64>,
@@ -80,8 +80,8 @@ pub struct CorrectionDocument {
     pub cells: [u32; 2],
     /// Power by power, the nodes of g_k.
     pub coefficients: Vec<Vec<f64>>,
-    /// The nearest and the farthest depth that it was fitted over, in meters; x is held at these
-    /// ends in the sum.
+    /// The nearest and the farthest depth of the fit, in meters; in the sum, x is clamped to this
+    /// range.
     pub seen_m: [f64; 2],
 }
 
@@ -101,7 +101,7 @@ pub struct BiasRangeDocument {
     pub to: f64,
     /// As the device gives it.
     pub before: f64,
-    /// Corrected by what was fitted to other views.
+    /// After correction, cross-validated: fitted to the other views.
     pub after: f64,
     /// Root mean square over the patches of the residuals.
     pub rms_after: f64,
@@ -174,7 +174,7 @@ impl TryFrom<&DepthDocument> for DepthCalibration {
             (DepthKind::Disparity, _, None) => {
                 return Err(DocumentError::field(
                     "disparity",
-                    "must say offset and slope for kind disparity",
+                    "needs offset and slope for kind disparity",
                 ));
             }
         };

@@ -44,7 +44,7 @@ impl TryFrom<&DepthEncodingDocument> for DepthEncoding {
             (DepthKind::Depth, None, _) => {
                 return Err(DocumentError::field(
                     "unit_m",
-                    "is missing: say how many meters one unit is, as in unit_m = 0.001",
+                    "is missing: give the unit in meters, as in unit_m = 0.001",
                 ));
             }
             (DepthKind::Depth, ..) => {

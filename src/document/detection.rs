@@ -28,17 +28,17 @@ pub struct DetectionDocument {
     pub corners: Vec<[f64; 2]>,
     /// Predicted standard deviation of each, per axis, in pixels.
     pub std_px: Vec<f64>,
-    /// What the board's markers say; of a plain chessboard left out.
+    /// Results from the board's markers; left out for a plain chessboard.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub markers: Option<BoardMarkersDocument>,
 }
 
-/// What the markers of a board say besides which corner is which.
+/// Results from a board's markers, besides the corner ids.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BoardMarkersDocument {
     /// Markers whose code was read.
     pub read: usize,
-    /// Of a ChArUco board whose two layouts differ: it has the legacy one.
+    /// For a ChArUco board whose two layouts differ: whether its layout is the legacy one.
     pub legacy: Option<bool>,
     /// Of an AprilGrid: the cells of black around a tag's payload.
     pub border_bits: Option<u32>,

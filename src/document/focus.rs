@@ -22,7 +22,7 @@ pub struct FocusDocument {
     pub pixel_m: f64,
     /// The distance in focus.
     pub focus_m: Option<f64>,
-    /// How wide a point may become and still count as sharp, in pixels.
+    /// Largest acceptable circle of confusion, in pixels.
     pub blur_px: f64,
     /// Between which distances things, and so a board, are sharp.
     pub depth_of_field: DepthOfFieldDocument,

@@ -44,7 +44,7 @@ pub struct SensorDocument {
     /// side that is seen; only where that was to be estimated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub board_warp_m: Option<[f64; 2]>,
-    /// The board's shape, where the views show that it is not as stated.
+    /// The measured shape of the board, where the views show that it differs from the stated one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub board_shape: Option<BoardShapeDocument>,
     /// How the board moved while the rows of an image were read, where the views show it.
@@ -53,8 +53,8 @@ pub struct SensorDocument {
     /// How many scene points there are, without a board.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub points: Option<usize>,
-    /// Parameters that a scene says no more of than the prior: center ± 2 % of the width, square
-    /// pixels ± 0.2 %, radial coefficients ± 0.2, tangential ones ± 0.0003.
+    /// Parameters that the images of a scene do not determine beyond the prior: principal point ± 2
+    /// % of the width, square pixels ± 0.2 %, radial coefficients ± 0.2, tangential ones ± 0.0003.
     #[schema(value_type = Vec<String>)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub held_by_prior: Option<Vec<String>>,
@@ -63,7 +63,7 @@ pub struct SensorDocument {
 }
 
 /// Predicted 1-σ uncertainty of a projected pixel, after the best compensating camera motion, in
-/// pixels; null where the views leave it without bound.
+/// pixels; null where the views do not bound it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct UncertaintyDocument {
     /// At the image's center.
@@ -79,7 +79,7 @@ pub struct UncertaintyDocument {
 pub struct ComparedLensDocument {
     /// Which.
     pub model: LensModelName,
-    /// Error on views that were not fitted to, in pixels.
+    /// Held-out (cross-validation) error, in pixels.
     pub held_out_rms_px: f64,
 }
 

@@ -217,7 +217,7 @@ fn schema(with_model: bool, description: &str) -> RefOr<Schema> {
         let of = match *name {
             "fx" | "fy" => "Focal length, in pixels.".to_owned(),
             "cx" | "cy" => "Principal point, in pixels.".to_owned(),
-            SKEW => "How much x moves with normalized y, in pixels: 0 unless asked for.".to_owned(),
+            SKEW => "Skew, K[0][1] of the camera matrix, in pixels: 0 unless estimated.".to_owned(),
             _ => format!("Coefficient of {}.", models.join(", ")),
         };
         schema = schema.property(*name, number().description(Some(of)));

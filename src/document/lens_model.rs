@@ -15,8 +15,7 @@ use crate::geometry::lens::LensModel;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LensModelName(pub LensModel);
 
-/// The lens model that is asked for: one by name, or `auto`, chosen by the error on views that were
-/// not fitted to.
+/// The requested lens model: one by name, or `auto`, for the one with the smallest held-out error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LensRequest(pub LensChoice);
 
@@ -110,8 +109,7 @@ impl PartialSchema for LensRequest {
     fn schema() -> RefOr<Schema> {
         one_of(
             std::iter::once(AUTO).chain(LensModel::NAMES),
-            "The lens model that is asked for: one by name, or `auto`, chosen by the error on views \
-             that were not fitted to.",
+            "The requested lens model: one by name, or `auto`, for the one with the smallest held-out error.",
         )
     }
 }

@@ -43,7 +43,7 @@ pub struct ProblemDocument {
     /// 0}`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub given: BTreeMap<String, f64>,
-    /// Whether the board's shape is estimated whatever the views show: `board_shape` `free`.
+    /// Always estimate the board's shape: the same as `board_shape` `free`.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub warp: bool,
     /// What shape the board has; `auto` when left out.
@@ -86,9 +86,9 @@ impl ProblemDocument {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum BoardShapeRequest {
-    /// As its points say, unless the views show otherwise.
+    /// As given by the object points, unless the views show deviations.
     Auto,
-    /// As its points say.
+    /// As given by the object points.
     Flat,
     /// Estimated, whatever the views show.
     Free,
@@ -188,7 +188,7 @@ fn check_inside(problem: &CameraProblem) -> Result<(), DocumentError> {
         format!("from {least:.1} to {most:.1}")
     };
     let problem = format!(
-        "{outside} of {all} pixels are outside an image of {width}x{height} (u {}, v {}): give its width, then its height, and pixels as [u, v] from its upper left one",
+        "{outside} of {all} pixels are outside the {width}x{height} image (u {}, v {}): give image_size as [width, height], and pixels as [u, v] from the top-left pixel",
         range(|p| p.x),
         range(|p| p.y)
     );

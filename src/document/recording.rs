@@ -5,22 +5,22 @@ use utoipa::ToSchema;
 
 use crate::document::error::DocumentError;
 
-/// What starts a recording; both limits may be left out, then it runs till it is stopped.
+/// The request to start a recording. Without limits it runs until it is stopped.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RecordDocument {
-    /// It ends after so many seconds of frames.
+    /// Stop after this many seconds of frames.
     #[schema(exclusive_minimum = 0.0)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub max_seconds: Option<f64>,
-    /// It ends once its file is so large: up to what a double holds exactly.
+    /// Stop when the file reaches this size, in bytes.
     #[schema(minimum = 1, maximum = 9_007_199_254_740_992_u64)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub max_bytes: Option<u64>,
 }
 
 impl RecordDocument {
-    /// Refuses a limit that cannot be.
+    /// Refuses an invalid limit.
     ///
     /// # Errors
     /// [`DocumentError::Field`] naming the field.
@@ -73,7 +73,7 @@ pub struct RecordingDocument {
     pub finished_at: Option<jiff::Timestamp>,
     /// Frame sets written.
     pub frame_sets: u64,
-    /// Frame sets that the disk was too slow for.
+    /// Frame sets dropped because the disk was too slow.
     pub dropped: u64,
     /// The size of the file, in bytes.
     pub bytes: u64,

@@ -11,8 +11,8 @@ pub const METERS: &str = "m";
 /// How well measured depth determines a scene's lengths.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct SceneScaleDocument {
-    /// The standard deviation of a length, as a part of it: what readings differ by, the focal
-    /// length's, and 1 % for the depth camera's own scale, which no scene shows.
+    /// The relative standard deviation of a length: from the scatter of the readings, the focal
+    /// length's uncertainty, and 1 % for the depth camera's own scale, which no scene reveals.
     pub relative_std: f64,
     /// How many measured depths of scene points it rests on.
     pub readings: usize,

@@ -100,7 +100,7 @@ impl SensorsFile {
             Err(_) if !has_depth => return Ok(None),
             Err(error) => {
                 return Err(named(format!(
-                    "cannot be read ({error}): a folder with depth/ needs it, to say [depth] kind = \"depth\" and unit_m, or kind = \"disparity\""
+                    "cannot be read ({error}): a folder with depth/ needs this file, with [depth] kind = \"depth\" and unit_m, or kind = \"disparity\""
                 )));
             }
         };
@@ -111,7 +111,7 @@ impl SensorsFile {
     pub fn warn_of_unused(&self, folder: &Path) {
         for sensor in self.unused_lenses() {
             tracing::warn!(
-                "{}: {sensor}.lens is not used: corners determine it better than a statement",
+                "{}: {sensor}.lens is not used: the board's corners determine it better than the factory calibration",
                 folder.join(FILE_NAME).display()
             );
         }
@@ -120,7 +120,7 @@ impl SensorsFile {
     /// What the file states, of sensors with images of these sizes.
     ///
     /// # Errors
-    /// [`DocumentError::Field`] for a lens or pose that cannot be.
+    /// [`DocumentError::Field`] for an invalid lens or pose.
     pub fn factory(
         &self,
         image_size: impl Fn(SensorKind) -> Option<ImageSize>,
@@ -173,7 +173,7 @@ impl SensorsFile {
     /// The factory's lens and pose of the depth sensor, where both are stated.
     ///
     /// # Errors
-    /// [`DocumentError::Field`] for a lens or pose that cannot be.
+    /// [`DocumentError::Field`] for an invalid lens or pose.
     pub fn depth_factory(&self) -> Result<Option<PosedDepthLens>, DocumentError> {
         let color_from_depth = self.color_from(SensorKind::Depth)?;
         let Some((lens, color_from_depth)) = self.depth.lens.as_ref().zip(color_from_depth) else {

@@ -27,7 +27,8 @@ use crate::imaging::frame::SensorKind;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct StartDocument {
-    /// The board. There is no default: count its inner corners and measure a square.
+    /// The calibration target: a board, or a scene for none. A board has no default size: count its
+    /// corners, squares or tags, and measure one.
     pub target: TargetDocument,
     /// The lens model to fit; `auto` when left out.
     #[serde(default)]
@@ -35,7 +36,7 @@ pub struct StartDocument {
     /// When to stop by itself; when left out it runs till it is stopped.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub finish: Option<FinishDocument>,
-    /// Lenses of a rig that are known and held as they are, by `CAMERA.color`; as `lens` in
+    /// Known lenses of a rig's cameras, which are held fixed, by `CAMERA.color`; as `lens` in
     /// calibrations.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub given: BTreeMap<String, LensDocument>,
@@ -84,7 +85,10 @@ fn given_document(given: &[HeldLens]) -> BTreeMap<String, LensDocument> {
 /// The lens that is held under `name`, as in `left.color`.
 fn held(name: &str, lens: &LensDocument) -> Result<HeldLens, DocumentError> {
     let wrong = || {
-        DocumentError::field(name, "is no color lens of a rig's camera; write it as `left.color`")
+        DocumentError::field(
+            name,
+            "is not the color lens of a camera of the rig; write it as `left.color`",
+        )
     };
     let (camera, kind) = name.rsplit_once('.').ok_or_else(wrong)?;
     if camera.is_empty() || SensorKind::from_name(kind) != Some(SensorKind::Color) {
@@ -94,8 +98,7 @@ fn held(name: &str, lens: &LensDocument) -> Result<HeldLens, DocumentError> {
     Ok(HeldLens { sensor: SensorId::of(camera, SensorKind::Color), lens })
 }
 
-/// When a session stops by itself: as soon as every goal that is given is reached, or the time is
-/// up.
+/// When a session finishes by itself: as soon as all given goals are reached, or the time is up.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FinishDocument {
@@ -104,7 +107,7 @@ pub struct FinishDocument {
     #[schema(exclusive_minimum = 0.0)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub uncertainty_px: Option<f64>,
-    /// Not before so many views are kept.
+    /// Do not finish before this many views are kept.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub min_views: Option<u32>,
     /// The longest it may collect, in seconds of the frames' time; what has been gathered by then
@@ -129,7 +132,7 @@ impl TryFrom<FinishDocument> for Finish {
             if let Some(value) = value.filter(|value| value.is_nan() || *value <= 0.0) {
                 return Err(DocumentError::field(
                     field,
-                    format!("{value} cannot be reached; give a positive number"),
+                    format!("{value} is not a valid goal; give a positive number"),
                 ));
             }
         }
@@ -187,7 +190,7 @@ pub struct SessionDocument {
     pub camera: String,
     /// What each camera of a rig contributes, in the rig's order; left out for one camera. For a
     /// rig, `frames_seen` and `boards_seen` are sums, `coverage` and `estimate` the worst camera's,
-    /// and `views_kept` counts moments.
+    /// and `views_kept` counts frame sets.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub cameras: Vec<SessionMemberDocument>,
     /// What the images of each camera come from, by its name: the device or the recording, and its
@@ -200,12 +203,12 @@ pub struct SessionDocument {
     pub devices: BTreeMap<String, String>,
     /// Where it stands.
     pub state: SessionStateName,
-    /// Why it failed, waits or was given up.
+    /// Why it failed, is waiting or was aborted.
     pub reason: Option<String>,
     /// When it was started.
     #[schema(value_type = String, format = DateTime)]
     pub started_at: jiff::Timestamp,
-    /// When it was over.
+    /// When it ended.
     #[schema(value_type = Option<String>, format = DateTime)]
     pub finished_at: Option<jiff::Timestamp>,
     /// The board.
@@ -272,7 +275,7 @@ impl SessionDocument {
     /// time spent collecting.
     ///
     /// # Errors
-    /// [`DocumentError::Field`] naming the field that cannot be.
+    /// [`DocumentError::Field`] naming the invalid field.
     pub fn to_record(&self, collecting_s: f64) -> Result<SessionRecord, DocumentError> {
         let finish = Some(self.finish).filter(|finish| *finish != FinishDocument::default());
         let (target, lens, given) = (self.target.clone(), self.lens, self.given.clone());
@@ -324,7 +327,7 @@ pub struct SessionViewDocument {
     /// The camera of a rig; left out for one camera.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub camera: Option<String>,
-    /// The moment that a rig's cameras saw together, from 0; left out for one camera.
+    /// The frame set of a rig's session that the view belongs to, from 0; left out for one camera.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub moment: Option<u32>,
     /// The frame's path or sequence number.
@@ -348,10 +351,10 @@ pub struct SessionViewDocument {
     pub reason: Option<String>,
     /// Its reprojection error in the session's calibration, in pixels.
     pub rms_px: Option<f64>,
-    /// Measured minus projected for each corner, in pixels, on the board as the calibration
-    /// measured it and as it moved while rows were read; null before there is a calibration, for a
-    /// view without a pose or without a board, and where a calibration with `rolling_shutter` says no
-    /// `motion` of the view.
+    /// Residuals, measured minus projected, for each corner, in pixels. The projection uses the
+    /// measured board shape and the board's motion during readout. Null before there is a
+    /// calibration, for a view without a pose or without a board, and where a calibration with
+    /// `rolling_shutter` has no `motion` for the view.
     pub residuals_px: Option<Vec<[f64; 2]>>,
     /// Where the board was, by the session's calibration.
     pub camera_from_board: Option<PoseDocument>,
@@ -386,13 +389,13 @@ mod tests {
             ),
             (
                 format!(r#"{{{target},"finish":{{"uncertainty_px":-1}}}}"#),
-                "finish.uncertainty_px: -1 cannot be reached; give a positive number",
+                "finish.uncertainty_px: -1 is not a valid goal; give a positive number",
             ),
             (
                 format!(
                     r#"{{{target},"given":{{"left.depth":{{"model":"pinhole","fx":1,"fy":1,"cx":0,"cy":0}}}}}}"#
                 ),
-                "given.left.depth: is no color lens of a rig's camera; write it as `left.color`",
+                "given.left.depth: is not the color lens of a camera of the rig; write it as `left.color`",
             ),
         ];
         for (json, expected) in table {

@@ -22,7 +22,7 @@ pub struct SessionMemberDocument {
     pub boards_seen: u64,
     /// Views kept for the solve.
     pub views_kept: u32,
-    /// Views kept of moments at which another camera's was kept too.
+    /// Kept views whose frame set also has a kept view of another camera.
     pub views_shared: u32,
     /// Frames not kept, by reason.
     pub rejected: BTreeMap<String, u64>,

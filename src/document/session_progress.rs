@@ -19,7 +19,7 @@ use crate::geometry::pixel::Pixel;
 /// Where in the image corners have been seen.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct CoverageDocument {
-    /// Part of the cells that hold corners, 0 to 1.
+    /// Fraction of the cells that contain corners, 0 to 1.
     pub fraction: f64,
     /// Corners kept in each cell: rows from the image's top, each from its left.
     pub cells: Vec<Vec<u32>>,
@@ -37,11 +37,12 @@ pub struct GuidanceDocument {
     /// another.
     #[serde(default)]
     pub target_pose: Option<PoseDocument>,
-    /// The goal's uncertainty after that view, in pixels; null as long as views do not determine
-    /// where a depth camera beside color is.
+    /// Predicted uncertainty after the suggested view, in pixels, of the quantity that the goal
+    /// limits; null as long as views do not determine the pose of a depth camera beside color.
     #[serde(default)]
     pub expected_uncertainty_px: Option<f64>,
-    /// How many more views reach the goal, at least and at most; null without a goal.
+    /// Predicted number of further views until the goal is reached, at least and at most; null
+    /// without a goal.
     #[serde(default)]
     pub views_to_go: Option<[u32; 2]>,
 }
@@ -55,7 +56,7 @@ pub struct EstimateDocument {
     pub rms_px: f64,
     /// Predicted 1-σ reprojection uncertainty over the image.
     pub uncertainty_px: UncertaintyDocument,
-    /// How many views it was made of.
+    /// Number of views it was estimated from.
     pub views: u32,
 }
 

@@ -30,7 +30,7 @@ pub enum TargetKind {
 pub struct TargetDocument {
     /// Its kind.
     pub kind: TargetKind,
-    /// Of a chessboard inner corners along a row, of a ChArUco board squares, of an AprilGrid tags.
+    /// Columns: inner corners of a chessboard, squares of a ChArUco board, tags of an AprilGrid.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cols: Option<u32>,
     /// Rows of them.
@@ -48,19 +48,19 @@ pub struct TargetDocument {
     /// The first marker or tag, 0 unless given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub first_id: Option<u32>,
-    /// Whether a ChArUco board has the layout of OpenCV before 4.6; found if left out.
+    /// Whether a ChArUco board has the layout of OpenCV before 4.6; detected if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub legacy: Option<bool>,
     /// The side of an AprilGrid's tag with its black border, in meters.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tag_m: Option<f64>,
-    /// The gap between two tags as a part of a tag's side.
+    /// Gap between two tags divided by the side of a tag.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub spacing: Option<f64>,
     /// The family of an AprilGrid's tags, `tag36h11` unless given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub family: Option<String>,
-    /// Cells of black around a tag's payload, 1 or 2; found if left out.
+    /// Width of a tag's black border in cells, 1 or 2; detected if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub border_bits: Option<u32>,
 }
@@ -193,7 +193,7 @@ impl TryFrom<&TargetDocument> for Target {
                 grid.check().map(|()| Self::AprilGrid(grid))
             }
             TargetKind::Scene => {
-                let problem = "is no board; a scene calibrates with `plumb autocalibrate`, or in a session of one camera";
+                let problem = "is not a board; calibrate a scene with `plumb autocalibrate`, or in a session of one camera";
                 return Err(DocumentError::field("kind", problem));
             }
         };
@@ -238,7 +238,7 @@ fn in_field(error: &TargetError) -> DocumentError {
     };
     let problem = match in_millimeters(error) {
         Some(millimeters) => format!(
-            "{millimeters} m is no side of what is printed: lengths here are in meters; did you mean {}?",
+            "{millimeters} m is not a plausible size of a printed target: lengths are in meters; did you mean {}?",
             (1000.0 * millimeters).round() / 1e6
         ),
         None => error.to_string(),

@@ -5,11 +5,11 @@ use utoipa::ToSchema;
 
 use crate::calibration::result::{Checks, Grade, Verdict};
 
-/// How a calibration does beyond the views it was fitted to; null where it could not be computed.
+/// Checks on data that was not fitted; null where they could not be computed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ChecksDocument {
-    /// Projection difference between two disjoint halves, over what their uncertainties predict:
-    /// about 1 when the model is right.
+    /// Difference between the projections of two solutions, each from half of the views, divided by
+    /// its predicted uncertainty: about 1 if the model is right.
     pub split_half_ratio: Option<f64>,
     /// Error on views that were not fitted to, in pixels.
     pub held_out_rms_px: Option<f64>,
@@ -61,7 +61,7 @@ impl From<Grade> for GradeName {
 pub struct VerdictDocument {
     /// The grade.
     pub grade: GradeName,
-    /// Why it is no better; empty for a spotless one.
+    /// What limits the grade, and what to do about it; a good calibration may have remarks too.
     pub reasons: Vec<String>,
 }
 

@@ -8,9 +8,9 @@ use crate::document::error::{DocumentError, physical};
 use crate::estimation::view_motion::ViewMotion;
 use crate::geometry::physical::TRANSLATION_M;
 
-/// How a board moved in the camera's frame from an image's first row to its last, at constant
-/// velocity; `camera_from_board` is its pose at the middle row. A corner in row y of an image with h
-/// rows was read (y + 0.5) / h - 0.5 of this motion from there.
+/// Motion of the board in the camera frame during readout, from the image's first row to its last,
+/// at constant velocity. `camera_from_board` is the pose at the middle row; a corner in row y of an
+/// image with h rows was read (y + 0.5) / h - 0.5 of this motion from there.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ViewMotionDocument {
     /// The rotation about `center_m`, as a rotation vector in the camera's frame, in radians.

@@ -109,7 +109,7 @@ impl Access {
             return Problem::too_many("too many wrong tokens; wait a moment");
         };
         tokio::time::sleep(GUESS_TIME).await;
-        Problem::unauthorized("this token is not known here; `plumb token add` makes one")
+        Problem::unauthorized("unknown token; create one with `plumb token add`")
     }
 }
 

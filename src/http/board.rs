@@ -30,10 +30,10 @@ impl ReadQuery for BoardParameters {
 
 /// The board as it was measured: heights as colors, offsets in its plane as arrows.
 #[utoipa::path(get, path = "/v1/calibrations/{id}/board.png", tag = "calibrations",
-    params(("id" = String, Path, description = "the calibration's"), BoardParameters),
+    params(("id" = String, Path, description = "calibration id"), BoardParameters),
     responses(
         (status = 200, description = "the image", body = Vec<u8>, content_type = "image/png"),
-        (status = 404, description = "no such calibration, or it has measured no board", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "no such calibration, or it has no measured board shape", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "an unknown sensor", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn board_image(
@@ -63,6 +63,6 @@ pub(super) async fn board_image(
 
 fn unmeasured(id: &str) -> Problem {
     Problem::not_found(format!(
-        "calibration {id} has measured no board: its views show none that is uneven"
+        "calibration {id} has no measured board shape: its views show no deviation from a flat board"
     ))
 }

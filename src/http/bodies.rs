@@ -55,9 +55,7 @@ impl Bodies {
 }
 
 fn full() -> Problem {
-    Problem::unavailable(
-        "other requests' bodies take all the memory there is for them; send it again",
-    )
+    Problem::unavailable("the memory for request bodies is in use; send the request again")
 }
 
 /// Reads the body, of at most `limit` bytes, if it fits into the remaining memory.
@@ -71,7 +69,7 @@ pub(super) async fn body(
     bodies: Option<&Bodies>,
 ) -> Result<HeldBody, Problem> {
     let slow = |how: &str| {
-        let detail = format!("the body did not arrive {how}; send it again");
+        let detail = format!("the body did not arrive {how}; send the request again");
         Problem::new(StatusCode::REQUEST_TIMEOUT, detail)
     };
     tokio::time::timeout(BODY_TIME, async {

@@ -31,23 +31,23 @@ pub(super) struct ExportParameters {
     /// The format; json when left out. Its schema says what each is.
     #[param(schema_with = schemas::format, required = false)]
     format: Option<Format>,
-    /// For formats that hold one sensor: color, infrared, infrared2, depth, or a rig's camera;
-    /// color when left out. For stereo formats two of them, as `left,right` (the two cameras of a
-    /// rig when left out), for kalibr several, in the chain's order.
+    /// The sensor, for formats with a single sensor: color (default), infrared, infrared2, depth,
+    /// or a camera of a rig. Stereo formats take two, as `left,right` (default: the two cameras of
+    /// a rig); kalibr takes several, in chain order.
     #[param(min_length = 1)]
     sensor: Option<String>,
-    /// Of ros, ros_stereo and opencv_stereo: 0 (when left out) for rectified images of which every
-    /// pixel is seen, 1 for those that hold everything that was seen.
+    /// For ros, ros_stereo and opencv_stereo: free scaling parameter of the rectified image, as in
+    /// OpenCV. 0 (default): only valid pixels; 1: all source pixels are retained.
     #[param(schema_with = schemas::alpha, required = false)]
     alpha: Option<f64>,
-    /// For images (or the part of them that `crop` says) scaled to this width.
+    /// Convert to images scaled to this width (after `crop`).
     #[param(schema_with = schemas::count, required = false)]
     width: Option<u32>,
-    /// For images scaled to this height.
+    /// Convert to images scaled to this height.
     #[param(schema_with = schemas::count, required = false)]
     height: Option<u32>,
-    /// For a part of the images, `left,top,width,height` in their pixels; of several sensors' the
-    /// one that `sensor` says.
+    /// Convert to images cropped to `left,top,width,height` (pixels of the original images); with
+    /// several sensors, of the one that `sensor` names.
     #[param(schema_with = schemas::region, required = false)]
     crop: Option<ImageRegion>,
 }
@@ -107,12 +107,12 @@ pub(super) async fn current_of(
     written(found.ok_or_else(none)?, parameters).await
 }
 
-/// What the device states of its own sensors, as it left the factory, in any format: as it is
-/// stated, without any measurement.
+/// The factory calibration that the device reports, in any format: as reported, not verified by
+/// measurement.
 #[utoipa::path(get, path = "/v1/cameras/{camera}/factory", tag = "calibrations",
     params(("camera" = String, Path, description = "its name in the configuration"), ExportParameters),
     responses(
-        (status = 200, description = "the factory's calibration", content(
+        (status = 200, description = "the factory calibration", content(
             (CalibrationDocument = "application/json"), (String = "application/yaml"), (String = "application/xml"), (String = "text/plain"))),
         (status = 404, description = "no such camera, or its device states no lens that a calibration can hold", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "an unknown format, or one that cannot hold this lens", body = Problem, content_type = "application/problem+json"),
@@ -168,7 +168,7 @@ pub(super) async fn history_of(
 
 /// One calibration, approved or not.
 #[utoipa::path(get, path = "/v1/calibrations/{id}", operation_id = "get_calibration", tag = "calibrations",
-    params(("id" = String, Path, description = "the calibration's"), ExportParameters),
+    params(("id" = String, Path, description = "calibration id"), ExportParameters),
     responses(
         (status = 200, description = "the calibration", content(
             (CalibrationDocument = "application/json"), (String = "application/yaml"), (String = "application/xml"), (String = "text/plain"))),
@@ -183,11 +183,11 @@ pub(super) async fn one(
     written(calibration(&shared, &id).await?, parameters).await
 }
 
-/// Makes a calibration the camera's current one: also the way back to an older one.
+/// Makes a calibration the camera's current one; also reverts to an older one.
 #[utoipa::path(post, path = "/v1/calibrations/{id}/approve", tag = "calibrations",
-    params(("id" = String, Path, description = "the calibration's")),
+    params(("id" = String, Path, description = "calibration id")),
     responses(
-        (status = 200, description = "it is the camera's current one", body = CalibrationDocument),
+        (status = 200, description = "now the camera's current calibration", body = CalibrationDocument),
         (status = 404, description = "no such calibration, or its camera is not configured any more", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn approve(
@@ -201,7 +201,7 @@ pub(super) async fn approve(
 
 /// Deletes a calibration that was never approved.
 #[utoipa::path(delete, path = "/v1/calibrations/{id}", tag = "calibrations",
-    params(("id" = String, Path, description = "the calibration's")),
+    params(("id" = String, Path, description = "calibration id")),
     responses(
         (status = 204, description = "deleted"),
         (status = 404, description = "no such calibration", body = Problem, content_type = "application/problem+json"),

@@ -31,17 +31,17 @@ const RETRY: Duration = Duration::from_secs(1);
 const KEEP_ALIVE: Duration = Duration::from_secs(10);
 
 /// Server-sent events: `frame`, `detection`, `session`, `calibration`, `camera`, `drift`. Each has
-/// an `id`; a client that sends the last one it saw as `Last-Event-ID` gets what it missed, as far
-/// as it is remembered.
+/// an `id`; a client that sends the last one it saw as `Last-Event-ID` receives the missed events
+/// that are still buffered.
 #[utoipa::path(get, path = "/v1/events", tag = "events",
     params(
-        ("camera" = Option<String>, Query, description = "only this camera's, with those of the rigs that it is in; or only this rig's own, without its cameras'"),
+        ("camera" = Option<String>, Query, description = "only events of this camera and of the rigs it belongs to; or only those of this rig, without those of its cameras"),
         ("Last-Event-ID" = Option<u64>, Header, description = "the last event that was seen"),
     ),
     responses(
         (status = 200, description = "an endless stream", body = String, content_type = "text/event-stream"),
         (status = 404, description = "no such camera", body = Problem, content_type = "application/problem+json"),
-        (status = 503, description = "too many follow", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "too many event streams are open", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn follow(
     State(shared): State<Arc<Shared>>,

@@ -32,7 +32,7 @@ pub(super) struct FocusParameters {
     /// How wide a point may become and count as sharp, in pixels; 1 when left out.
     #[param(schema_with = schemas::blur_px, required = false)]
     blur_px: Option<f64>,
-    /// Inner corners along a row of the board that advice is wanted for.
+    /// Inner corners along a row of the board to be recommended.
     #[param(schema_with = schemas::count, required = false)]
     cols: Option<u32>,
 }
@@ -62,10 +62,10 @@ impl ReadQuery for FocusParameters {
         FocusParameters,
     ),
     responses(
-        (status = 200, description = "what is sharp", body = FocusDocument),
+        (status = 200, description = "depth of field, and the recommended board", body = FocusDocument),
         (status = 404, description = "no such camera", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "no frame yet to know the image's width by", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "a parameter that is missing or cannot be", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "a missing or invalid parameter", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn focus(
     State(shared): State<Arc<Shared>>,

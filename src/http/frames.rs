@@ -32,14 +32,13 @@ pub(super) struct DrawingParameters {
     overlay: Option<bool>,
     /// Draw where to hold the board next; as `overlay` when left out.
     guidance: Option<bool>,
-    /// Through the current calibration; false when left out.
+    /// Undistort with the current calibration; default: false.
     undistorted: Option<bool>,
-    /// As one of two parallel cameras, so that a row of it corresponds to the same row of the
-    /// other's, by the current calibration of its rig (or of its own two infrared sensors); false
-    /// when left out.
+    /// Rectify as one image of a stereo pair, with the current calibration of the camera's rig (or
+    /// of its two infrared sensors); default: false.
     rectified: Option<bool>,
-    /// Of undistorted or rectified images: 0 (when left out) for those of which every pixel is
-    /// seen, 1 for those that hold everything that was seen.
+    /// Free scaling parameter of undistorted or rectified images, as in OpenCV. 0 (default): only
+    /// valid pixels; 1: all source pixels are retained.
     #[param(schema_with = schemas::alpha, required = false)]
     alpha: Option<f64>,
     /// With `sensor=depth`, color: depth in color's image; with `sensor=color`, depth: color in
@@ -95,8 +94,7 @@ pub(super) fn stale(shared: &Shared, camera: &str) -> HeaderMap {
 
 /// The frames as they come, each drawn over with what was found, as multipart JPEG.
 ///
-/// What cannot be shown of the newest frame is refused as by `frame.jpg`; before the first frame it
-/// waits.
+/// A request that cannot be shown is refused as by `frame.jpg`; before the first frame it waits.
 #[utoipa::path(get, path = "/v1/cameras/{camera}/preview.mjpg", tag = "cameras",
     params(("camera" = String, Path, description = "its name in the configuration"), DrawingParameters),
     responses(
@@ -104,7 +102,7 @@ pub(super) fn stale(shared: &Shared, camera: &str) -> HeaderMap {
         (status = 404, description = "no such camera, or it has no such sensor", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "no calibration to undistort, rectify or register with, or one of images of another size", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "an unknown sensor, or an alpha that is not from 0 to 1", body = Problem, content_type = "application/problem+json"),
-        (status = 503, description = "too many watch", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "too many previews are open", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn preview(
     State(shared): State<Arc<Shared>>,
@@ -152,7 +150,7 @@ fn drawing(asked: &DrawingParameters, overlay: bool) -> Result<Drawing, Problem>
     let undistorted = asked.undistorted.unwrap_or(false);
     let rectified = asked.rectified.unwrap_or(false);
     if asked.alpha.is_some() && !undistorted && !rectified {
-        let problem = "is of flat images; give rectified=true or undistorted=true with it";
+        let problem = "applies only to undistorted or rectified images; add undistorted=true or rectified=true";
         return Err(Problem::field("alpha", problem));
     }
     Ok(Drawing {
@@ -170,7 +168,10 @@ fn drawing(asked: &DrawingParameters, overlay: bool) -> Result<Drawing, Problem>
 fn registered(asked: &DrawingParameters, sensor: SensorKind) -> Result<bool, Problem> {
     let Some(to) = asked.registered else { return Ok(false) };
     if asked.rectified == Some(true) {
-        return Err(Problem::field("rectified", "is not shown registered; give one of both"));
+        return Err(Problem::field(
+            "rectified",
+            "cannot be combined with `registered`; give only one",
+        ));
     }
     match (sensor, to) {
         (SensorKind::Depth, SensorKind::Color) | (SensorKind::Color, SensorKind::Depth) => Ok(true),

@@ -65,7 +65,7 @@ fn same_site(method: &Method, headers: &HeaderMap, has_token: bool) -> Result<()
     }
     let host = headers.get(HOST).and_then(|host| host.to_str().ok());
     if !has_token && host.is_some_and(|host| !is_local(host)) {
-        let detail = "this daemon answers to localhost or an IP address only; use one of these in the address";
+        let detail = "without a token, this daemon accepts only localhost or an IP address as its host name; use one of these in the URL";
         return Err(Problem::new(StatusCode::MISDIRECTED_REQUEST, detail));
     }
     if matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS) {
@@ -77,7 +77,7 @@ fn same_site(method: &Method, headers: &HeaderMap, has_token: bool) -> Result<()
     if origin_host.is_some() && origin_host == host {
         return Ok(());
     }
-    Err(Problem::new(StatusCode::FORBIDDEN, "a page of another site may not change anything here"))
+    Err(Problem::new(StatusCode::FORBIDDEN, "cross-site requests that change state are refused"))
 }
 
 fn is_local(host: &str) -> bool {

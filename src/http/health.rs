@@ -18,7 +18,7 @@ pub(super) async fn healthz() -> &'static str {
 /// Whether a camera is delivering, and what sessions keep can be stored.
 #[utoipa::path(get, path = "/readyz", tag = "daemon", responses(
     (status = 200, description = "at least one camera is delivering, and no session is paused", body = String, content_type = "text/plain"),
-    (status = 503, description = "no camera is delivering, or a session is paused because what it keeps cannot be stored, and why", body = Problem, content_type = "application/problem+json"),
+    (status = 503, description = "no camera is delivering frames, or a session is paused because its views cannot be stored; `detail` gives the reason", body = Problem, content_type = "application/problem+json"),
 ))]
 pub(super) async fn readyz(State(shared): State<Arc<Shared>>) -> Result<&'static str, Problem> {
     if shared.fleet.is_ready() {

@@ -13,7 +13,7 @@ use crate::http::{
 #[openapi(
     info(
         title = "Plumb",
-        description = "Finds chessboards live, calibrates cameras, and says how far to trust the numbers. \
+        description = "Detects calibration boards in live images, calibrates cameras, and states the uncertainty of the result. \
             Pixels: x right, y down, integer coordinates are pixel centers. Units: meters, radians, seconds, pixels."
     ),
     paths(
@@ -81,10 +81,10 @@ struct GateRefusals;
 
 /// The errors that the daemon may answer for any operation: status, and reason.
 const REFUSALS: [(&str, &str); 6] = [
-    ("400", "no `Host`, or several; or a query that cannot be read"),
+    ("400", "no `Host` header or several, or a malformed query"),
     ("401", "no token, or one that is not known"),
-    ("403", "the token's role does not go so far, or a page of another site asks"),
-    ("421", "a foreign name of this machine, where no token protects it"),
+    ("403", "the token's role does not permit this, or the request is cross-site"),
+    ("421", "the host name is neither localhost nor an IP address, and no token is configured"),
     ("429", "too many wrong tokens"),
     ("503", "too many connections, or the daemon is stopping"),
 ];

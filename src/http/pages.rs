@@ -16,10 +16,10 @@ const LARGEST_PAGE: u32 = 1000;
 #[derive(utoipa::IntoParams)]
 #[into_params(parameter_in = Query)]
 pub(super) struct PageParameters {
-    /// How many, 1 to 1000; all when left out.
+    /// How many, 1 to 1000; default: all.
     #[param(minimum = 1, maximum = 1000)]
     pub(super) limit: Option<u32>,
-    /// Those after this one, as the header `Link` of the page before says.
+    /// Id of the last item of the previous page, from its `Link` header.
     pub(super) cursor: Option<String>,
 }
 
@@ -27,7 +27,7 @@ pub(super) struct PageParameters {
 #[derive(utoipa::IntoResponses)]
 #[expect(dead_code, reason = "describes what `PageParameters` answers")]
 pub(super) enum PageRefusals {
-    /// a limit that cannot be
+    /// an invalid limit
     #[response(status = 422, content_type = "application/problem+json")]
     Part(Problem),
 }
@@ -64,7 +64,9 @@ impl PageParameters {
         if let Some(cursor) = &self.cursor {
             let at = all.iter().position(|item| id_of(item) == *cursor);
             let unknown = || {
-                Problem::not_found(format!("cursor `{cursor}` is none of this list; begin without"))
+                Problem::not_found(format!(
+                    "cursor `{cursor}` is not in this list; start again without a cursor"
+                ))
             };
             all.drain(..=at.ok_or_else(unknown)?);
         }

@@ -26,7 +26,7 @@ pub struct Problem {
     status: u16,
     /// What was wrong and what to do.
     detail: String,
-    /// The field of the request that is at fault, where it is one.
+    /// The invalid field of the request, if there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     field: Option<String>,
     #[serde(skip)]

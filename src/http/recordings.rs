@@ -22,11 +22,11 @@ use crate::pipeline::recording_notes::recording_document;
     params(("camera" = String, Path, description = "its name in the configuration")),
     request_body = Option<RecordDocument>,
     responses(
-        (status = 201, description = "it records", body = RecordingDocument, headers(("Location" = String, description = "where it is"))),
+        (status = 201, description = "the recording was started", body = RecordingDocument, headers(("Location" = String, description = "where it is"))),
         (status = 404, description = "no such camera", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "the camera is being recorded already", body = Problem, content_type = "application/problem+json"),
         BodyRefusals,
-        (status = 422, description = "a limit that cannot be", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "an invalid limit", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "the disk is fuller than `[store] min_free_mb` lets it become; too many connections, or the daemon is stopping", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn start(
@@ -57,7 +57,7 @@ pub(super) async fn start(
     responses(
         (status = 200, description = "the recordings", body = RecordingsDocument, headers(("Link" = String, description = "the next page, as `<address>; rel=\"next\"`; none on the last"))),
         PageRefusals,
-        (status = 404, description = "no recording of that cursor", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "unknown cursor", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn list(
     State(shared): State<Arc<Shared>>,
@@ -72,7 +72,7 @@ pub(super) async fn list(
 
 /// One recording.
 #[utoipa::path(get, path = "/v1/recordings/{id}", operation_id = "get_recording", tag = "recordings",
-    params(("id" = String, Path, description = "the recording's")),
+    params(("id" = String, Path, description = "recording id")),
     responses(
         (status = 200, description = "the recording", body = RecordingDocument),
         (status = 404, description = "no such recording", body = Problem, content_type = "application/problem+json"),
@@ -89,7 +89,7 @@ pub(super) async fn one(
 
 /// Ends a recording; its file is whole when this answers.
 #[utoipa::path(post, path = "/v1/recordings/{id}/stop", operation_id = "stop_recording", tag = "recordings",
-    params(("id" = String, Path, description = "the recording's")),
+    params(("id" = String, Path, description = "recording id")),
     responses(
         (status = 200, description = "it has ended", body = RecordingDocument),
         (status = 404, description = "no such recording", body = Problem, content_type = "application/problem+json"),
@@ -105,11 +105,11 @@ pub(super) async fn stop(
 
 /// Deletes a recording that has ended, with its file.
 #[utoipa::path(delete, path = "/v1/recordings/{id}", tag = "recordings",
-    params(("id" = String, Path, description = "the recording's")),
+    params(("id" = String, Path, description = "recording id")),
     responses(
         (status = 204, description = "deleted"),
         (status = 404, description = "no such recording", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "it goes on: stop it first", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "still recording: stop it first", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn delete_recording(
     State(shared): State<Arc<Shared>>,

@@ -48,7 +48,7 @@ impl<S: Send + Sync> FromRequestParts<S> for Parameters {
 /// so that the two agree.
 pub(super) trait ReadQuery: Sized {
     /// # Errors
-    /// 422 that names the parameter whose value cannot be.
+    /// 422 that names the parameter whose value is invalid.
     fn read(parameters: &Parameters) -> Result<Self, Problem>;
 }
 
@@ -113,7 +113,7 @@ impl Parameters {
     ) -> Result<Option<f64>, Problem> {
         match self.positive(name)? {
             Some(number) if !(least..=most).contains(&number) => {
-                let problem = format!("{number} cannot be; give {least} to {most}");
+                let problem = format!("{number} is out of range; give {least} to {most}");
                 Err(Problem::field(name, &problem))
             }
             number => Ok(number),

@@ -39,17 +39,17 @@ pub(super) async fn one(
     Ok(Json(rig_document(shared.fleet.rig(&rig)?)))
 }
 
-/// Starts a session on all cameras of a rig: lenses and where the cameras are, from one board shown
-/// to all of them.
+/// Starts a session on all cameras of a rig, which calibrates lenses and relative poses with one
+/// board.
 #[utoipa::path(post, path = "/v1/rigs/{rig}/sessions", operation_id = "start_rig_session", tag = "rigs",
     params(("rig" = String, Path, description = "its name in the configuration")),
     request_body = StartDocument,
     responses(
-        (status = 201, description = "it collects", body = SessionDocument, headers(("Location" = String, description = "where it is"))),
+        (status = 201, description = "the session was started", body = SessionDocument, headers(("Location" = String, description = "where it is"))),
         (status = 404, description = "no such rig", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "the rig, or one of its cameras, is in a session already", body = Problem, content_type = "application/problem+json"),
         BodyRefusals,
-        (status = 422, description = "a field that cannot be", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "an invalid field", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn start(
     State(shared): State<Arc<Shared>>,

@@ -66,18 +66,18 @@ pub(super) fn router(shared: Arc<Shared>) -> Router {
         .layer(from_fn_with_state(Arc::clone(&shared), gate::check))
         .layer(from_fn(careful))
         .layer(CatchPanicLayer::custom(|_: Box<dyn Any + Send>| {
-            Problem::broken("a fault in the daemon; its log says more").into_response()
+            Problem::broken("internal error; see the daemon's log").into_response()
         }))
         .with_state(shared)
 }
 
 async fn no_route(uri: Uri) -> Problem {
-    Problem::not_found(format!("there is nothing at {}; /docs lists what there is", uri.path()))
+    Problem::not_found(format!("no such path: {}; /docs lists the API", uri.path()))
 }
 
 async fn no_method(method: Method, uri: Uri) -> Problem {
     Problem::method_not_allowed(
-        format!("{method} cannot be used at {}; /docs lists what can", uri.path()),
+        format!("{method} is not allowed at {}; /docs lists the API", uri.path()),
         None,
     )
 }

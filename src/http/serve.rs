@@ -167,6 +167,5 @@ enum ConnectionError {
 }
 
 fn crowded() -> Response {
-    Problem::unavailable("too many connections are being answered; ask again in a moment")
-        .into_response()
+    Problem::unavailable("too many connections are open; try again in a moment").into_response()
 }

@@ -22,11 +22,11 @@ use crate::store::Store;
     params(("camera" = String, Path, description = "its name in the configuration")),
     request_body = StartDocument,
     responses(
-        (status = 201, description = "it collects", body = SessionDocument, headers(("Location" = String, description = "where it is"))),
+        (status = 201, description = "the session was started", body = SessionDocument, headers(("Location" = String, description = "where it is"))),
         (status = 404, description = "no such camera", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "the camera is in a session already", body = Problem, content_type = "application/problem+json"),
         BodyRefusals,
-        (status = 422, description = "a field that cannot be", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "an invalid field", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn start(
     State(shared): State<Arc<Shared>>,
@@ -54,14 +54,14 @@ const PAGE: u32 = 40;
 /// The sessions, newest first, page by page: the header `Link` has the address of the next page.
 #[utoipa::path(get, path = "/v1/sessions", operation_id = "list_sessions", tag = "sessions",
     params(
-        ("camera" = Option<String>, Query, description = "only this camera's, with those of the rigs that it was in; or only this rig's"),
-        ("limit" = Option<u32>, Query, description = "how many, 1 to 1000; 40 when left out", minimum = 1, maximum = 1000),
-        ("cursor" = Option<String>, Query, description = "those after this session, as the header `Link` of the page before says"),
+        ("camera" = Option<String>, Query, description = "only sessions of this camera and of the rigs it belonged to; or only those of this rig"),
+        ("limit" = Option<u32>, Query, description = "how many, 1 to 1000; default: 40", minimum = 1, maximum = 1000),
+        ("cursor" = Option<String>, Query, description = "id of the last session of the previous page, from its `Link` header"),
     ),
     responses(
         (status = 200, description = "the sessions", body = SessionsDocument, headers(("Link" = String, description = "the next page, as `<address>; rel=\"next\"`; none on the last"))),
-        (status = 404, description = "no session of that cursor", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "a limit that cannot be", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "unknown cursor", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "an invalid limit", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn list(
     State(shared): State<Arc<Shared>>,
@@ -93,7 +93,7 @@ pub(super) async fn list(
 
 /// One session.
 #[utoipa::path(get, path = "/v1/sessions/{id}", operation_id = "get_session", tag = "sessions",
-    params(("id" = String, Path, description = "the session's")),
+    params(("id" = String, Path, description = "session id")),
     responses(
         (status = 200, description = "the session", body = SessionDocument),
         (status = 404, description = "no such session", body = Problem, content_type = "application/problem+json"),
@@ -109,14 +109,14 @@ pub(super) async fn one(
 /// session's state is `failed`, its `reason` says why, and its views stay.
 #[utoipa::path(post, path = "/v1/sessions/{id}/stop", operation_id = "stop_session", tag = "sessions",
     params(
-        ("id" = String, Path, description = "the session's"),
-        ("wait" = Option<bool>, Query, description = "whether to wait for the result; true when left out"),
+        ("id" = String, Path, description = "session id"),
+        ("wait" = Option<bool>, Query, description = "wait for the result; default: true"),
     ),
     responses(
         (status = 200, description = "solved, or failed and why", body = SessionDocument),
         (status = 202, description = "solving (`wait=false`)", body = SessionDocument),
         (status = 404, description = "no such session", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "it is over already", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "the session has already ended", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "`wait` is neither true nor false", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn stop(
@@ -139,17 +139,17 @@ pub(super) async fn stop(
     Ok((StatusCode::OK, Json(over)))
 }
 
-/// Gives a session up; its views stay. With `purge=true`, one that is over is deleted with its
+/// Aborts a session; its views are kept. With `purge=true`, one that is over is deleted with its
 /// views and their images; the calibrations that it led to stay.
 #[utoipa::path(delete, path = "/v1/sessions/{id}", tag = "sessions",
     params(
-        ("id" = String, Path, description = "the session's"),
-        ("purge" = Option<bool>, Query, description = "whether one that is over is deleted; false when left out"),
+        ("id" = String, Path, description = "session id"),
+        ("purge" = Option<bool>, Query, description = "delete a session that has ended; default: false"),
     ),
     responses(
-        (status = 200, description = "aborted, or deleted: as it was last", body = SessionDocument),
+        (status = 200, description = "the session as it was aborted, or before it was deleted", body = SessionDocument),
         (status = 404, description = "no such session", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "it is over already; with `purge=true`: it is not over, or an approved calibration came from it", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "the session has already ended; with `purge=true`: it is not over, or an approved calibration came from it", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "`purge` is neither true nor false", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn abort(

@@ -35,14 +35,14 @@ impl Drop for EndsWithRequest {
     }
 }
 
-/// Calibrates from given correspondences; nothing is stored. Two are solved at once, others wait. A
-/// solve whose client has left is ended.
+/// Calibrates from given correspondences; nothing is stored. At most two solves run at a time. A
+/// solve is canceled when its client disconnects.
 #[utoipa::path(post, path = "/v1/solve", tag = "calibrations", request_body = ProblemDocument,
     responses(
         (status = 200, description = "the calibration", body = CalibrationDocument),
         BodyRefusals,
-        (status = 422, description = "a field that cannot be, more than 50000 points, or views that determine no camera", body = Problem, content_type = "application/problem+json"),
-        (status = 503, description = "it took longer than `[server] solve_seconds` (60 unless set), or waited as long to begin; other requests' bodies take all the memory there is for them; too many connections; or the daemon is stopping", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "an invalid field, more than 50000 points, or views that determine no camera", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "the solve took longer than `[server] solve_seconds` (60 unless set), or had to wait that long; the memory for request bodies is in use; too many connections; or the daemon is stopping", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn solve(
     State(shared): State<Arc<Shared>>,
@@ -53,7 +53,9 @@ pub(super) async fn solve(
     let body = body(request, LARGEST, Some(&shared.bodies)).await?;
     let seconds = shared.solve_time.as_secs();
     let busy = || {
-        Problem::unavailable(format!("others are solved, and were for {seconds} s; send it again"))
+        Problem::unavailable(format!(
+            "all solvers were busy for {seconds} s; send the request again"
+        ))
     };
     let stopping = || Problem::unavailable("the daemon is stopping; send it again when it is back");
     let place = Arc::clone(&shared.solves).acquire_owned();

@@ -12,8 +12,8 @@ use crate::http::problem::Problem;
 use crate::http::request::Address;
 use crate::http::shared::{Shared, on_a_blocking_thread};
 
-/// What the newest frame shows: a chessboard, a ChArUco board or an AprilGrid, without its lengths,
-/// which no image shows.
+/// Recognizes the board in the newest frame: a chessboard, a ChArUco board or an AprilGrid, without
+/// its lengths, which no image determines.
 #[utoipa::path(get, path = "/v1/cameras/{camera}/target", tag = "cameras",
     params(("camera" = String, Path, description = "its name in the configuration")),
     responses(
@@ -28,7 +28,8 @@ pub(super) async fn in_view(
 ) -> Result<(HeaderMap, Json<TargetInViewDocument>), Problem> {
     let (fleet, stale) = (Arc::clone(&shared.fleet), stale(&shared, &camera));
     // It takes as long as a small solve.
-    let busy = |_| Problem::unavailable("others are computed; ask again in a moment");
+    let busy =
+        |_| Problem::unavailable("too many solves and searches are running; try again in a moment");
     let place = Arc::clone(&shared.solves).try_acquire_owned().map_err(busy)?;
     let seen = on_a_blocking_thread(move || {
         let _place = place;

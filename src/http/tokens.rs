@@ -138,15 +138,15 @@ pub enum TokenError {
     },
     /// A token that can be guessed.
     #[error(
-        "the token can be guessed: at least {LEAST_BITS} bits are needed, this has at most {bits:.0}; `plumb token add` makes one"
+        "the token can be guessed: at least {LEAST_BITS} bits of entropy are needed, this has at most {bits:.0}; `plumb token add` makes one"
     )]
     Guessable {
-        /// The largest entropy of so many characters of these kinds.
+        /// The largest entropy that a token of this length and these kinds of characters can have.
         bits: f64,
     },
     /// A character that is not allowed in a header, a cookie or an address.
     #[error(
-        "the token's character `{character}` cannot travel in a header; use letters, digits and -._~ (RFC 6750)"
+        "the token's character `{character}` is not allowed in an HTTP header; use letters, digits and -._~ (RFC 6750)"
     )]
     Character {
         /// The first such character.
@@ -225,7 +225,8 @@ fn check_token(token: &str) -> Result<(), TokenError> {
     if let Some(character) = token.chars().find(|&c| !travels(c)) {
         return Err(TokenError::Character { character });
     }
-    // The largest entropy of so many characters of its own alphabet; repeated ones have less.
+    // The largest entropy of this number of characters of its own alphabet; repeated ones have
+    // less.
     let has = |is: fn(&char) -> bool| token.chars().any(|c| is(&c));
     let kinds = [
         (has(char::is_ascii_digit), 10),

@@ -26,9 +26,9 @@ const COLUMNS: [u32; 2] = [UNCERTAINTY_COLUMNS, 49];
 #[derive(utoipa::IntoParams)]
 #[into_params(parameter_in = Query)]
 pub(super) struct UncertaintyParameters {
-    /// color, infrared, infrared2, or a rig's camera; the first there is when left out.
+    /// color, infrared, infrared2, or a camera of a rig; default: the first.
     sensor: Option<String>,
-    /// How far away things are, in meters; at infinity when left out.
+    /// Distance of the scene, in meters; default: infinity.
     #[param(schema_with = schemas::focus_m, required = false)]
     distance_m: Option<f64>,
 }
@@ -44,11 +44,11 @@ impl ReadQuery for UncertaintyParameters {
 
 /// The predicted 1-σ projection uncertainty on a grid of pixels over the image.
 #[utoipa::path(get, path = "/v1/calibrations/{id}/uncertainty", tag = "calibrations",
-    params(("id" = String, Path, description = "the calibration's"), UncertaintyParameters),
+    params(("id" = String, Path, description = "calibration id"), UncertaintyParameters),
     responses(
         (status = 200, description = "the numbers", body = UncertaintyMapDocument),
-        (status = 404, description = "no such calibration, or it knows no covariance of this sensor", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "an unknown sensor, or a distance that cannot be", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "no such calibration, or it has no covariance for this sensor", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "an unknown sensor, or an invalid distance", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn numbers(
     State(shared): State<Arc<Shared>>,
@@ -63,11 +63,11 @@ pub(super) async fn numbers(
 /// The predicted 1-σ projection uncertainty over the image as a heat map: contours at round values,
 /// each with its label in pixels.
 #[utoipa::path(get, path = "/v1/calibrations/{id}/uncertainty.png", tag = "calibrations",
-    params(("id" = String, Path, description = "the calibration's"), UncertaintyParameters),
+    params(("id" = String, Path, description = "calibration id"), UncertaintyParameters),
     responses(
         (status = 200, description = "the image", body = Vec<u8>, content_type = "image/png"),
-        (status = 404, description = "no such calibration, or it knows no covariance of this sensor", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "an unknown sensor, or a distance that cannot be", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "no such calibration, or it has no covariance for this sensor", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "an unknown sensor, or an invalid distance", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn uncertainty_image(
     State(shared): State<Arc<Shared>>,
@@ -85,7 +85,7 @@ pub(super) async fn uncertainty_image(
 #[derive(utoipa::IntoParams)]
 #[into_params(parameter_in = Query)]
 pub(super) struct MemberParameters {
-    /// A rig's camera; the one that is known worst when left out.
+    /// A camera of the rig; default: the one with the largest uncertainty.
     camera: Option<String>,
 }
 
@@ -95,10 +95,10 @@ impl ReadQuery for MemberParameters {
     }
 }
 
-/// The projection uncertainty by the estimate of a running session, as a heat map in the same
-/// colors: it darkens with what each view teaches.
+/// The projection uncertainty of a running session's estimate, as a heat map in the same colors: it
+/// darkens as views are added.
 #[utoipa::path(get, path = "/v1/sessions/{id}/uncertainty.png", tag = "sessions",
-    params(("id" = String, Path, description = "the session's"), MemberParameters),
+    params(("id" = String, Path, description = "session id"), MemberParameters),
     responses(
         (status = 200, description = "the image", body = Vec<u8>, content_type = "image/png"),
         (status = 404, description = "no such session is running, it has no such camera, or no estimate yet", body = Problem, content_type = "application/problem+json"),
@@ -143,7 +143,9 @@ async fn asked(
 }
 
 fn unknown(id: &str) -> Problem {
-    Problem::not_found(format!("calibration {id} has no covariance of this sensor; solve it again"))
+    Problem::not_found(format!(
+        "calibration {id} has no covariance for this sensor; calibrate again"
+    ))
 }
 
 fn heat_map(sensor: &ImageCalibration, distance: Distance) -> Option<Vec<u8>> {

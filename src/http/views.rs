@@ -31,7 +31,7 @@ const JPEG_QUALITY: u8 = 90;
 /// The views that a session kept, in order, each with its residuals once there is a calibration;
 /// all, or page by page with `limit`. A cursor is a view's number.
 #[utoipa::path(get, path = "/v1/sessions/{id}/views", operation_id = "list_views", tag = "sessions",
-    params(("id" = String, Path, description = "the session's"), PageParameters),
+    params(("id" = String, Path, description = "session id"), PageParameters),
     responses(
         (status = 200, description = "the views", body = SessionViewsDocument, headers(("Link" = String, description = "the next page, as `<address>; rel=\"next\"`; none on the last"))),
         PageRefusals,
@@ -69,7 +69,7 @@ pub(super) async fn list(
 
 /// The image of a kept view, as JPEG.
 #[utoipa::path(get, path = "/v1/sessions/{id}/views/{n}.jpg", tag = "sessions",
-    params(("id" = String, Path, description = "the session's"), ("n" = u32, Path, description = "the view's number, from 0")),
+    params(("id" = String, Path, description = "session id"), ("n" = u32, Path, description = "the view's number, from 0")),
     responses(
         (status = 200, description = "the image", body = Vec<u8>, content_type = "image/jpeg"),
         (status = 404, description = "no such session or view", body = Problem, content_type = "application/problem+json"),

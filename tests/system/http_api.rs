@@ -379,7 +379,7 @@ fn a_calibration_is_served_in_every_format_and_approved() {
     assert_eq!((heat.status, heat.media_type.as_str()), (200, "image/png"), "{}", heat.text());
     assert!(image::load_from_memory(&heat.bytes).is_ok());
     let flat = is_problem(&served.get(&format!("/v1/calibrations/{id}/board.png")), 404);
-    assert!(flat["detail"].to_string().contains("measured no board"), "{flat}");
+    assert!(flat["detail"].to_string().contains("no measured board shape"), "{flat}");
     let numbers = served.get(&format!("/v1/calibrations/{id}/uncertainty?distance_m=0.5")).json();
     has_fields(&numbers, &["sensor", "distance_m", "image_size", "x_px", "y_px", "std_px"]);
     assert_eq!(
