@@ -14,6 +14,7 @@ use crate::calibration::{
     CameraFrameSets, InstrumentObservations, ObservedFrameSet, SolveOptions, solve,
 };
 use crate::cli::calibration_output::named;
+use crate::cli::search_args::SearchArgs;
 use crate::cli::sources::{FrameSets, SourcedFrames, TopicArgs, is_recording};
 use crate::cli::{Failure, progress};
 use crate::detection::board_detection::{DetectOptions, Detection, NoBoard};
@@ -89,14 +90,14 @@ pub fn calibrate(
 /// # Errors
 /// As for [`calibrate`].
 pub fn views_of(
-    (source, reading): (&str, &TopicArgs),
+    source: &str,
+    search: &SearchArgs,
     target: Target,
-    detect: DetectOptions,
     numbers: &BTreeMap<String, usize>,
 ) -> Result<CameraFrameSets, Failure> {
     let depth = depth_sensor(source)?;
-    let mut gathered = RgbdGathering::new(source, target, detect);
-    for frames in FrameSets::new(std::iter::once(source.to_owned())).reading(reading) {
+    let mut gathered = RgbdGathering::new(source, target, search.detect_options());
+    for frames in FrameSets::new(std::iter::once(source.to_owned())).reading(&search.reading) {
         let mut frames = frames.map_err(|unreadable| Failure::failed(unreadable.reason))?;
         let path = frames.path();
         if numbers.contains_key(&path) {

@@ -261,7 +261,7 @@ impl Rectifier {
         let out = [left.join(result_name(&frames[0])), right.join(result_name(&frames[1]))];
         let mut gray = Vec::new();
         for (k, out) in out.iter().enumerate() {
-            let (image, file) = rectified((&frames[k], self.sensors[k]), &self.maps[k])?;
+            let (image, file) = rectified(&frames[k], self.sensors[k], &self.maps[k])?;
             self.files.write(&images[k], out, &file)?;
             gray.push(image);
         }
@@ -294,7 +294,8 @@ impl Rectifier {
 
 /// One rectified image: its luma, and the file.
 fn rectified(
-    (frames, sensor): (&SourcedFrames, SensorKind),
+    frames: &SourcedFrames,
+    sensor: SensorKind,
     map: &PixelMap,
 ) -> Result<(GrayImage, Vec<u8>), String> {
     let path = frames.path();

@@ -68,35 +68,8 @@ pub fn calibrate(
     options: &CameraOptions,
     given: &[GivenLens],
 ) -> Result<Calibration, Failure> {
-    let names: BTreeSet<&str> = cameras.iter().map(|camera| camera.name.as_str()).collect();
-    if cameras.len() < 2 || names.len() < cameras.len() {
-        return Err(Failure::usage(
-            "a rig is two cameras or more, each with a name of its own: --rig left=SOURCE --rig right=SOURCE",
-        ));
-    }
-    for (k, camera) in cameras.iter().enumerate() {
-        let is_same =
-            |other: &&NamedSource| same_file(Path::new(&camera.source), Path::new(&other.source));
-        if let Some(other) = cameras[..k].iter().find(is_same) {
-            return Err(Failure::usage(format!(
-                "--rig: {} and {} are one source, {}: give each camera its own",
-                other.name, camera.name, camera.source
-            )));
-        }
-    }
-    for (k, lens) in given.iter().enumerate() {
-        let sensor = (&lens.camera, lens.sensor);
-        if given[..k].iter().any(|earlier| (&earlier.camera, earlier.sensor) == sensor) {
-            let (camera, sensor) = (&lens.camera, lens.sensor.name());
-            return Err(Failure::usage(format!("--given {camera}.{sensor} twice: give one lens")));
-        }
-    }
-    if let Some(unknown) = given.iter().find(|given| !names.contains(given.camera.as_str())) {
-        return Err(Failure::usage(format!(
-            "--given {}: the rig has no such camera",
-            unknown.camera
-        )));
-    }
+    check_cameras(cameras)?;
+    check_given(cameras, given)?;
     let sources = cameras.iter().map(|camera| SearchedSource::of(camera, search, &target));
     let mut sources: Vec<SearchedSource> = sources.collect::<Result<_, _>>()?;
     let searched: Vec<Vec<SearchedImage>> =
@@ -108,9 +81,9 @@ pub fn calibrate(
     for (source, (searched, views)) in sources.iter_mut().zip(searched.iter().zip(&views)) {
         source.add_unused(searched, views, &copies);
     }
-    let each = cameras.iter().zip(searched.iter().zip(views)).map(|(camera, (searched, views))| {
-        observations(camera, (search, target), (searched, views), given)
-    });
+    let asked = AskedRig { search, target, given };
+    let each = cameras.iter().zip(searched.iter().zip(views));
+    let each = each.map(|(camera, (searched, views))| asked.observations(camera, searched, views));
     let observations = InstrumentObservations {
         board: Some(target),
         cameras: each.collect::<Result<_, Failure>>()?,
@@ -128,6 +101,45 @@ pub fn calibrate(
         }
     }
     Ok(solved)
+}
+
+/// Refuses fewer than two cameras, names that occur twice, and sources that do.
+fn check_cameras(cameras: &[NamedSource]) -> Result<(), Failure> {
+    let names: BTreeSet<&str> = cameras.iter().map(|camera| camera.name.as_str()).collect();
+    if cameras.len() < 2 || names.len() < cameras.len() {
+        return Err(Failure::usage(
+            "a rig is two cameras or more, each with a name of its own: --rig left=SOURCE --rig right=SOURCE",
+        ));
+    }
+    for (k, camera) in cameras.iter().enumerate() {
+        let is_same =
+            |other: &&NamedSource| same_file(Path::new(&camera.source), Path::new(&other.source));
+        if let Some(other) = cameras[..k].iter().find(is_same) {
+            return Err(Failure::usage(format!(
+                "--rig: {} and {} are one source, {}: give each camera its own",
+                other.name, camera.name, camera.source
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// Refuses a lens that is given twice, or of a camera that the rig has not.
+fn check_given(cameras: &[NamedSource], given: &[GivenLens]) -> Result<(), Failure> {
+    for (k, lens) in given.iter().enumerate() {
+        let sensor = (&lens.camera, lens.sensor);
+        if given[..k].iter().any(|earlier| (&earlier.camera, earlier.sensor) == sensor) {
+            let (camera, sensor) = (&lens.camera, lens.sensor.name());
+            return Err(Failure::usage(format!("--given {camera}.{sensor} twice: give one lens")));
+        }
+    }
+    let is_known = |given: &&GivenLens| cameras.iter().any(|camera| camera.name == given.camera);
+    match given.iter().find(|given| !is_known(given)) {
+        Some(unknown) => {
+            Err(Failure::usage(format!("--given {}: the rig has no such camera", unknown.camera)))
+        }
+        None => Ok(()),
+    }
 }
 
 /// The search results of a camera's folder or recording.
@@ -378,30 +390,40 @@ fn views(
     kept.iter().filter_map(view).collect()
 }
 
-fn observations(
-    camera: &NamedSource,
-    (search, target): (&SearchArgs, Target),
-    (searched, views): (&[SearchedImage], Vec<FrameSetView>),
-    given: &[GivenLens],
-) -> Result<CameraFrameSets, Failure> {
-    let given = given.iter().find(|given| given.camera == camera.name);
-    let size = searched.first().map(|image| image.frame.image_size);
-    let given = given.map(|given| given_lens(given, size)).transpose()?;
-    let name = Some(camera.name.clone());
-    if calibrate_rgbd::has_depth(&camera.source, &search.reading) {
-        let number = |seen: &FrameSetView| (seen.view.name.clone(), seen.frame_set);
-        let numbers: BTreeMap<String, usize> = views.iter().map(number).collect();
-        let source = (camera.source.as_str(), &search.reading);
-        let seen = calibrate_rgbd::views_of(source, target, search.detect_options(), &numbers)?;
-        return Ok(CameraFrameSets { name, given, ..seen });
+/// What is asked of every camera of the rig.
+struct AskedRig<'a> {
+    search: &'a SearchArgs,
+    target: Target,
+    given: &'a [GivenLens],
+}
+
+impl AskedRig<'_> {
+    /// What `camera` observed in its `views`, which are of the `searched` images.
+    fn observations(
+        &self,
+        camera: &NamedSource,
+        searched: &[SearchedImage],
+        views: Vec<FrameSetView>,
+    ) -> Result<CameraFrameSets, Failure> {
+        let given = self.given.iter().find(|given| given.camera == camera.name);
+        let size = searched.first().map(|image| image.frame.image_size);
+        let given = given.map(|given| given_lens(given, size)).transpose()?;
+        let name = Some(camera.name.clone());
+        if calibrate_rgbd::has_depth(&camera.source, &self.search.reading) {
+            let number = |seen: &FrameSetView| (seen.view.name.clone(), seen.frame_set);
+            let numbers: BTreeMap<String, usize> = views.iter().map(number).collect();
+            let seen =
+                calibrate_rgbd::views_of(&camera.source, self.search, self.target, &numbers)?;
+            return Ok(CameraFrameSets { name, given, ..seen });
+        }
+        Ok(CameraFrameSets {
+            name,
+            image_sensors: vec![(SensorKind::Color, searched[0].frame.image_size)],
+            given,
+            depth: None,
+            frame_sets: views.into_iter().map(ObservedFrameSet::of_view).collect(),
+        })
     }
-    Ok(CameraFrameSets {
-        name,
-        image_sensors: vec![(SensorKind::Color, searched[0].frame.image_size)],
-        given,
-        depth: None,
-        frame_sets: views.into_iter().map(ObservedFrameSet::of_view).collect(),
-    })
 }
 
 /// The lens of a calibration that is to be held fixed.

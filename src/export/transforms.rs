@@ -54,7 +54,7 @@ fn urdf(camera: &str, sensors: &[Sensor<'_>]) -> std::io::Result<String> {
             let name = sensor.optical_frame(camera);
             xml.create_element("link").with_attribute(("name", name.as_str())).write_empty()?;
         }
-        for joint in pairs(camera, sensors) {
+        for joint in joints(camera, sensors) {
             write_joint(xml, joint)?;
         }
         Ok(())
@@ -66,7 +66,7 @@ fn urdf(camera: &str, sensors: &[Sensor<'_>]) -> std::io::Result<String> {
 
 fn write_joint(
     xml: &mut Writer<Vec<u8>>,
-    (parent, child, parent_from_child): (String, String, Pose),
+    FixedJoint { parent, child, parent_from_child }: FixedJoint,
 ) -> std::io::Result<()> {
     let spaced = |values: [f64; 3]| values.map(decimal).join(" ");
     let xyz = spaced(parent_from_child.translation().into());
@@ -88,7 +88,7 @@ fn write_joint(
 /// other's.
 fn stamped(camera: &str, sensors: &[Sensor<'_>]) -> String {
     let mut text = String::new();
-    for (parent, child, parent_from_child) in pairs(camera, sensors) {
+    for FixedJoint { parent, child, parent_from_child } in joints(camera, sensors) {
         let (translation, rotation) =
             (parent_from_child.translation(), parent_from_child.rotation());
         let named = |names: &[&str], values: &[f64]| {
@@ -110,13 +110,18 @@ fn stamped(camera: &str, sensors: &[Sensor<'_>]) -> String {
     text
 }
 
-fn pairs<'a>(
-    camera: &'a str,
-    sensors: &'a [Sensor<'_>],
-) -> impl Iterator<Item = (String, String, Pose)> + 'a {
+/// A fixed transform between the optical frames of two sensors.
+struct FixedJoint {
+    parent: String,
+    child: String,
+    parent_from_child: Pose,
+}
+
+/// From the first sensor to each other whose pose is known.
+fn joints<'a>(camera: &'a str, sensors: &'a [Sensor<'_>]) -> impl Iterator<Item = FixedJoint> + 'a {
     let parent = sensors.first().map(|sensor| sensor.optical_frame(camera)).unwrap_or_default();
-    let placed = sensors.iter().skip(1);
-    placed.filter_map(move |sensor| {
-        Some((parent.clone(), sensor.optical_frame(camera), sensor.first_from_sensor?))
+    sensors.iter().skip(1).filter_map(move |sensor| {
+        let (parent, child) = (parent.clone(), sensor.optical_frame(camera));
+        Some(FixedJoint { parent, child, parent_from_child: sensor.first_from_sensor? })
     })
 }
