@@ -1,7 +1,7 @@
 //! `plumb correct`: depth images without their systematic error, if requested registered to the
 //! color camera.
 
-use std::cell::LazyCell;
+use std::cell::OnceCell;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -9,6 +9,8 @@ use std::time::Instant;
 use image::{ImageFormat, RgbImage};
 use serde::Serialize;
 
+use crate::calibration::depth_calibration::DepthCalibration;
+use crate::calibration::result::{Calibration, ImageCalibration};
 use crate::calibration::sensor::SensorId;
 use crate::cli::files::read_calibration;
 use crate::cli::plane_errors::{BeforeAndAfter, PlaneErrors};
@@ -17,6 +19,7 @@ use crate::cli::sources::{FrameSets, TopicArgs, is_recording};
 use crate::cli::{Failure, output, progress};
 use crate::geometry::median::median;
 use crate::geometry::pixel::ImageSize;
+use crate::geometry::pose::Pose;
 use crate::imaging::decode;
 use crate::imaging::depth_image::DepthImage;
 use crate::imaging::frame::{Frame, SensorKind};
@@ -83,11 +86,13 @@ struct CorrectedImage {
     off_board: Option<BeforeAndAfter>,
 }
 
-/// The color that comes with a depth image.
-#[derive(Default)]
-struct Colored {
-    image: Option<RgbImage>,
-    frame: Option<Frame>,
+/// A depth image, with the color that comes with it.
+struct ColoredDepth {
+    depth: DepthImage,
+    /// The color image, where it is needed.
+    color: Option<RgbImage>,
+    /// The same as it came.
+    color_frame: Option<Frame>,
 }
 
 /// Corrects every depth image; failures are reported at the end, after the others.
@@ -102,82 +107,116 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         )));
     }
     let calibration = read_calibration(&args.calibration)?;
-    let mut plane_errors = args.errors.then(|| PlaneErrors::new(&calibration)).transpose()?;
-    let file = args.calibration.display();
-    let missing = |what: &str| {
-        Failure::failed(format!(
-            "{file}: calibrates no {what}; calibrate from a recording with color and depth"
-        ))
-    };
-    let depth = calibration.depth().ok_or_else(|| missing("depth sensor"))?;
-    let color = calibration.color().ok_or_else(|| missing("color sensor"))?;
-    let [target, source] = [SensorKind::Color, SensorKind::Depth].map(SensorId::own);
-    let stated = calibration.pose(&target, &source);
-    let color_from_depth = stated.ok_or_else(|| missing("color_from_depth"))?.target_from_source;
-    let registration = LazyCell::new(|| {
-        DepthRegistration::new(&depth.camera, &color.lens, color.image_size, &color_from_depth)
-    });
+    let mut corrector = Corrector::new(args, &calibration)?;
     fs::create_dir_all(&args.out).map_err(|error| {
         Failure::failed(format!("{}: cannot be made ({error})", args.out.display()))
     })?;
     let spinner = progress::spinner("correcting");
-    let (mut written, mut failures) = (Vec::new(), Vec::new());
-    let mut files = ResultFiles::of(&args.depth);
-    let mut give = |path: String, name: String, image: Result<(DepthImage, Colored), String>| {
+    let mut give = |path: String, name: String, image: Result<ColoredDepth, String>| {
         spinner.inc(1);
-        let outcome = image.and_then(|(image, color)| {
-            fits(&image, depth.camera.image_size)?;
-            let seen =
-                NamedDepth { path: &path, name: &name, image: &image, color: color.image.as_ref() };
-            let mut write = |name: String, bytes: &[u8]| {
-                let out = args.out.join(name);
-                files.write(&path, &out, bytes).map(|()| out.display().to_string())
-            };
-            let mut one = correct(args, &registration, depth.invalid, &seen, &mut write)?;
-            if let Some((errors, frame)) = plane_errors.as_mut().zip(color.frame.as_ref())
-                && let Some((off, drawn)) = errors.of(frame, &image)?
-            {
-                write(format!("{name}-error.png"), &encode_png(&drawn)?)?;
-                one.off_board = Some(off);
-            }
-            Ok(one)
-        });
-        match outcome {
-            Ok(one) => written.push(one),
-            Err(problem) => failures.push(format!("{path}: {problem}")),
-        }
+        corrector.give(&path, &name, image);
     };
     for source in &args.depth {
         let place = Path::new(source);
         if place.is_dir() && !place.join("depth").is_dir() && !is_recording(place) {
             for path in images_in(place)? {
-                give(
-                    path.display().to_string(),
-                    stem(&path),
-                    read(&path).map(|depth| (depth, Colored::default())),
-                );
+                give(path.display().to_string(), stem(&path), read(&path));
             }
         } else if place.is_dir() || is_recording(place) {
             for frames in FrameSets::new(std::iter::once(source.clone())).reading(&args.reading) {
                 let frames = frames.map_err(|unreadable| Failure::failed(unreadable.reason))?;
-                let Some(frame) = frames.set.frame(SensorKind::Depth) else { continue };
-                let name = frames
-                    .set
-                    .name
-                    .clone()
-                    .unwrap_or_else(|| format!("{:06}", frames.set.sequence));
-                let color = frames.set.frame(SensorKind::Color);
-                let image = color.filter(|_| needs_color(args)).map(decode::rgb).transpose();
-                let image = image.map_err(|error| format!("its color image: {error}"));
-                let color = image.map(|image| Colored { image, frame: color.cloned() });
-                give(frames.path(), name, decoded(frame).and_then(|depth| Ok((depth, color?))));
+                let Some(depth) = frames.set.frame(SensorKind::Depth) else { continue };
+                let (name, color) = (&frames.set.name, frames.set.frame(SensorKind::Color));
+                let name = name.clone().unwrap_or_else(|| format!("{:06}", frames.set.sequence));
+                give(frames.path(), name, with_color(args, depth, color));
             }
         } else {
-            give(source.clone(), stem(place), read(place).map(|depth| (depth, Colored::default())));
+            give(source.clone(), stem(place), read(place));
         }
     }
     spinner.finish_and_clear();
+    let Corrector { written, failures, .. } = corrector;
     report(args, written, &failures)
+}
+
+/// Corrects depth images, one after the other.
+struct Corrector<'a> {
+    args: &'a Args,
+    depth: &'a DepthCalibration,
+    color: &'a ImageCalibration,
+    color_from_depth: Pose,
+    /// Computed for the first image that fits.
+    registration: OnceCell<DepthRegistration>,
+    plane_errors: Option<PlaneErrors>,
+    files: ResultFiles,
+    written: Vec<CorrectedImage>,
+    failures: Vec<String>,
+}
+
+impl<'a> Corrector<'a> {
+    /// # Errors
+    /// A failure for a calibration that lacks depth, color, or their relative pose.
+    fn new(args: &'a Args, calibration: &'a Calibration) -> Result<Self, Failure> {
+        let plane_errors = args.errors.then(|| PlaneErrors::new(calibration)).transpose()?;
+        let file = args.calibration.display();
+        let missing = |what: &str| {
+            Failure::failed(format!(
+                "{file}: calibrates no {what}; calibrate from a recording with color and depth"
+            ))
+        };
+        let [target, source] = [SensorKind::Color, SensorKind::Depth].map(SensorId::own);
+        let depth = calibration.depth().ok_or_else(|| missing("depth sensor"))?;
+        let color = calibration.color().ok_or_else(|| missing("color sensor"))?;
+        let stated = calibration.pose(&target, &source);
+        let stated = stated.ok_or_else(|| missing("color_from_depth"))?;
+        Ok(Self {
+            args,
+            depth,
+            color,
+            color_from_depth: stated.target_from_source,
+            registration: OnceCell::new(),
+            plane_errors,
+            files: ResultFiles::of(&args.depth),
+            written: Vec::new(),
+            failures: Vec::new(),
+        })
+    }
+
+    /// Corrects the image of `path`; `name` is the base name of its files.
+    fn give(&mut self, path: &str, name: &str, image: Result<ColoredDepth, String>) {
+        match image.and_then(|image| self.corrected(path, name, &image)) {
+            Ok(one) => self.written.push(one),
+            Err(problem) => self.failures.push(format!("{path}: {problem}")),
+        }
+    }
+
+    fn corrected(
+        &mut self,
+        path: &str,
+        name: &str,
+        seen: &ColoredDepth,
+    ) -> Result<CorrectedImage, String> {
+        fits(&seen.depth, self.depth.camera.image_size)?;
+        let registration = self.registration.get_or_init(|| {
+            let color = self.color;
+            let camera = &self.depth.camera;
+            DepthRegistration::new(camera, &color.lens, color.image_size, &self.color_from_depth)
+        });
+        let mut write = |name: String, bytes: &[u8]| {
+            let out = self.args.out.join(name);
+            self.files.write(path, &out, bytes).map(|()| out.display().to_string())
+        };
+        let color = seen.color.as_ref();
+        let image = NamedDepth { path, name, image: &seen.depth, color };
+        let mut one = correct(self.args, registration, self.depth.invalid, &image, &mut write)?;
+        if let Some((errors, frame)) = self.plane_errors.as_mut().zip(seen.color_frame.as_ref())
+            && let Some((off, drawn)) = errors.of(frame, &seen.depth)?
+        {
+            write(format!("{name}-error.png"), &encode_png(&drawn)?)?;
+            one.off_board = Some(off);
+        }
+        Ok(one)
+    }
 }
 
 /// A depth image to correct, with its color image if that is needed.
@@ -326,10 +365,20 @@ fn fits(image: &DepthImage, expected: ImageSize) -> Result<(), String> {
     ))
 }
 
-fn read(path: &Path) -> Result<DepthImage, String> {
+/// The depth image of a file, without color.
+fn read(path: &Path) -> Result<ColoredDepth, String> {
     let bytes =
         fs::read(path).map_err(|error| format!("cannot be read ({error}); check the path"))?;
-    decoded(&frame_from_file(SensorKind::Depth, bytes))
+    let depth = decoded(&frame_from_file(SensorKind::Depth, bytes))?;
+    Ok(ColoredDepth { depth, color: None, color_frame: None })
+}
+
+/// The depth image of a frame set, with its color.
+fn with_color(args: &Args, depth: &Frame, color: Option<&Frame>) -> Result<ColoredDepth, String> {
+    let depth = decoded(depth)?;
+    let needed = color.filter(|_| needs_color(args)).map(decode::rgb).transpose();
+    let image = needed.map_err(|error| format!("its color image: {error}"))?;
+    Ok(ColoredDepth { depth, color: image, color_frame: color.cloned() })
 }
 
 fn decoded(frame: &Frame) -> Result<DepthImage, String> {
