@@ -2,6 +2,7 @@
 
 use std::convert::Infallible;
 use std::io;
+use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -17,7 +18,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{Semaphore, watch};
 
 use crate::http::bodies::Bodies;
-use crate::http::connections::{Connections, WatchedStream};
+use crate::http::connections::{Connections, OpenConnection, WatchedStream};
 use crate::http::problem::Problem;
 use crate::http::router::router;
 use crate::http::shared::{SOLVES, Service, Shared};
@@ -60,14 +61,7 @@ pub async fn serve(
     let graceful = GracefulShutdown::new();
     let accepting = async {
         loop {
-            let (stream, client) = match listener.accept().await {
-                Ok(accepted) => accepted,
-                Err(error) => {
-                    tracing::warn!(%error, "a connection could not be accepted");
-                    tokio::time::sleep(ACCEPT_PAUSE).await;
-                    continue;
-                }
-            };
+            let (stream, client) = next_client(&listener).await;
             let Some(connection) = connections.admit(client) else { continue };
             // Events are small and must not be delayed.
             let _ = stream.set_nodelay(true);
@@ -86,16 +80,7 @@ pub async fn serve(
             let served = serve_one(http.clone(), stream, tls.clone(), answer, graceful.watcher());
             let connections = Arc::clone(&connections);
             tokio::spawn(async move {
-                tokio::select! {
-                    ended = served => {
-                        if let Err(error) = ended {
-                            tracing::debug!(%error, "a connection ended early");
-                        }
-                    }
-                    () = connection.evicted() => {
-                        tracing::debug!("a silent connection made room for another one");
-                    }
-                }
+                until_evicted(served, &connection).await;
                 connections.remove(&connection);
             });
         }
@@ -110,6 +95,36 @@ pub async fn serve(
         tracing::info!("connections that were still busy are closed");
     }
     Ok(())
+}
+
+/// The next client that connects. An `accept` that fails is repeated after a pause.
+async fn next_client(listener: &TcpListener) -> (TcpStream, SocketAddr) {
+    loop {
+        match listener.accept().await {
+            Ok(accepted) => return accepted,
+            Err(error) => {
+                tracing::warn!(%error, "a connection could not be accepted");
+                tokio::time::sleep(ACCEPT_PAUSE).await;
+            }
+        }
+    }
+}
+
+/// Serves a connection until it ends, or has to make room for another one.
+async fn until_evicted(
+    served: impl Future<Output = Result<(), ConnectionError>>,
+    connection: &OpenConnection,
+) {
+    tokio::select! {
+        ended = served => {
+            if let Err(error) = ended {
+                tracing::debug!(%error, "a connection ended early");
+            }
+        }
+        () = connection.evicted() => {
+            tracing::debug!("a silent connection made room for another one");
+        }
+    }
 }
 
 /// Answers one client. Where TLS is required, a client without it is only answered with the reason
