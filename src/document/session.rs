@@ -236,6 +236,9 @@ pub struct SessionDocument {
     pub estimate: Option<EstimateDocument>,
     /// The identifier of the resulting calibration.
     pub calibration: Option<String>,
+    /// Whether that calibration was deleted since; left out where it was not.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub calibration_deleted: bool,
 }
 
 impl From<&SessionRecord> for SessionDocument {
@@ -266,6 +269,8 @@ impl From<&SessionRecord> for SessionDocument {
                 .filter(|estimate| is_finite(estimate))
                 .map(EstimateDocument::from),
             calibration: record.calibration.clone(),
+            // The record does not know: where documents are served, the store is asked.
+            calibration_deleted: false,
         }
     }
 }

@@ -15,7 +15,7 @@ use crate::http::problem::Problem;
 use crate::http::request::{Address, BodyRefusals, Parameters, SMALL_BODY, document};
 use crate::http::shared::{Shared, on_a_blocking_thread};
 use crate::pipeline::session_request::EndError;
-use crate::store::Store;
+use crate::store::{Store, StoreError};
 
 /// Starts a session: the camera searches for the board and accepts views that add information.
 #[utoipa::path(post, path = "/v1/cameras/{camera}/sessions", operation_id = "start_session", tag = "sessions",
@@ -86,7 +86,11 @@ pub(super) async fn list(
         let next = format!("</v1/sessions?limit={limit}&cursor={last}{camera}>; rel=\"next\"");
         headers.extend(HeaderValue::from_str(&next).map(|next| (LINK, next)));
     }
-    let sessions = stored.iter().map(newest).collect();
+    let documents: Vec<SessionDocument> = stored.iter().map(newest).collect();
+    let sessions = move |store: &Store| {
+        documents.into_iter().map(|document| with_deleted(store, document)).collect()
+    };
+    let sessions = shared.stored(sessions).await?;
     let unreadable = shared.store.unreadable();
     Ok((headers, Json(SessionsDocument { sessions, unreadable })))
 }
@@ -102,7 +106,20 @@ pub(super) async fn one(
     State(shared): State<Arc<Shared>>,
     Address(id): Address<String>,
 ) -> Result<Json<SessionDocument>, Problem> {
-    Ok(Json((&session(&shared, &id).await?).into()))
+    let document = SessionDocument::from(&session(&shared, &id).await?);
+    let stored = move |store: &Store| with_deleted(store, document);
+    Ok(Json(shared.stored(stored).await?))
+}
+
+/// The document with whether its calibration was deleted since.
+fn with_deleted(
+    store: &Store,
+    mut document: SessionDocument,
+) -> Result<SessionDocument, StoreError> {
+    if let Some(calibration) = &document.calibration {
+        document.calibration_deleted = !store.has_calibration(calibration)?;
+    }
+    Ok(document)
 }
 
 /// Stops collecting and solves. Waits for the result unless `wait=false`. Too few views: the

@@ -135,6 +135,15 @@ impl Store {
         write().map_err(|e| self.failed(&e))
     }
 
+    /// Whether calibration `id` is stored, readable or not.
+    ///
+    /// # Errors
+    /// [`StoreError::Failed`].
+    pub fn has_calibration(&self, id: &str) -> Result<bool, StoreError> {
+        let sql = "SELECT EXISTS (SELECT 1 FROM calibrations WHERE id = ?1)";
+        self.connection().query_row(sql, [id], |row| row.get(0)).map_err(|e| self.failed(&e))
+    }
+
     /// The id of the current calibration of a camera.
     ///
     /// # Errors

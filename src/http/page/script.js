@@ -531,15 +531,23 @@ function imageSensorsOf(calibration) {
   return new Map([...own, ...(calibration.cameras || []).map((one) => [one.name, one.sensors.color])]);
 }
 
+// Neither a session that is over nor a result is on the page: one can begin again at once.
+function showNoResult(why) {
+  result = null;
+  show("result", false);
+  show("start-form", true);
+  say("start-error", why);
+}
+
 async function showResult(id) {
+  if (session && session.calibration === id && session.calibration_deleted) {
+    showNoResult("This calibration was deleted. Start a new session, or select an earlier calibration.");
+    return;
+  }
   try {
     result = await ask(at`/v1/calibrations/${id}`);
   } catch (error) {
-    // Neither a session that is over nor a result is on the page: one can begin again at once.
-    result = null;
-    show("result", false);
-    show("start-form", true);
-    say("start-error", error.message);
+    showNoResult(error.message);
     return;
   }
   say("start-error", "");
