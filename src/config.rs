@@ -15,10 +15,10 @@
 //! path = "plumb-data"            # default; made if it is not there
 //! min_free_mb = 100              # default; with less of the disk free, sessions pause
 //! keep_days = 90                 # default: all; sessions that began longer ago are deleted
-//! keep_sessions = 500            # default: all; the newest so many are kept
+//! keep_sessions = 500            # default: all; otherwise the newest ones
 //! keep_mb = 20000                # default: all; the oldest are deleted when the store holds more
 //! keep_recording_days = 30       # default: all; recordings that began longer ago are deleted
-//! keep_recordings = 20           # default: all; the newest so many are kept
+//! keep_recordings = 20           # default: all; otherwise the newest ones
 //! keep_recordings_mb = 50000     # default: all; the oldest are deleted when all hold more
 //!
 //! [calibration]

@@ -15,8 +15,7 @@ pub struct BoardShapeDocument {
     pub unevenness_m: f64,
     /// Its standard deviation.
     pub unevenness_std_m: f64,
-    /// How far the board is bowed at its middle along its x and its y, away from the side that is
-    /// seen.
+    /// Bow at the board's middle along its x and its y, positive away from the camera.
     pub bow_m: [f64; 2],
     /// The corners as stated.
     pub points: Vec<[f64; 3]>,

@@ -19,7 +19,7 @@ pub enum CameraStateName {
     Starting,
     /// Delivering frames.
     Streaming,
-    /// Gone for now; it is being opened again.
+    /// Disconnected; it is being opened again.
     Lost,
     /// Unusable until a person does something.
     Failed,

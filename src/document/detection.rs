@@ -42,7 +42,7 @@ pub struct BoardMarkersDocument {
     pub legacy: Option<bool>,
     /// Of an AprilGrid: the cells of black around a tag's payload.
     pub border_bits: Option<u32>,
-    /// Black and white change places.
+    /// Black and white are inverted.
     pub inverted: bool,
 }
 

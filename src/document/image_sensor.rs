@@ -41,7 +41,7 @@ pub struct SensorDocument {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub compared: Vec<ComparedLensDocument>,
     /// How far the board was bowed at its middle along its x and its y, in meters, away from the
-    /// side that is seen; only where that was to be estimated.
+    /// camera; only where it was to be estimated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub board_warp_m: Option<[f64; 2]>,
     /// The measured shape of the board, where the views show that it differs from the stated one.

@@ -44,7 +44,7 @@ impl RecordDocument {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RecordingStateName {
-    /// It goes on.
+    /// Recording is in progress.
     Recording,
     /// It was stopped, or reached a limit; the file is whole.
     Finished,
@@ -61,7 +61,7 @@ pub struct RecordingDocument {
     pub camera: String,
     /// The file, on the daemon's machine.
     pub path: String,
-    /// Whether it goes on.
+    /// State of the recording.
     pub state: RecordingStateName,
     /// Which limit ended it, or why it failed.
     pub reason: Option<String>,

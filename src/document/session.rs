@@ -140,7 +140,7 @@ impl TryFrom<FinishDocument> for Finish {
     }
 }
 
-/// Where a session stands.
+/// State of a session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SessionStateName {
@@ -150,10 +150,10 @@ pub enum SessionStateName {
     Solving,
     /// There is a calibration.
     Finished,
-    /// There is none, and `reason` says why; the views stay.
+    /// There is no calibration, and `reason` says why; the views are kept.
     Failed,
-    /// Given up: by request, or because a camera's source in the configuration, or its device, is
-    /// another one now; the views stay.
+    /// Aborted, by request, or because a camera's source in the configuration, or its device, has
+    /// changed; the views are kept.
     Aborted,
 }
 
@@ -193,15 +193,15 @@ pub struct SessionDocument {
     /// and `views_kept` counts frame sets.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub cameras: Vec<SessionMemberDocument>,
-    /// What the images of each camera come from, by its name: the device or the recording, and its
-    /// mode. A session never mixes two.
+    /// The image source of each camera, by its name: the device or the recording, and its mode. A
+    /// session never mixes two.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub sources: BTreeMap<String, String>,
-    /// Which device each camera is, by its name: model and serial number, where it says. A session
+    /// The device of each camera, by its name: model and serial number, where known. A session
     /// never mixes two.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub devices: BTreeMap<String, String>,
-    /// Where it stands.
+    /// Its state.
     pub state: SessionStateName,
     /// Why it failed, is waiting or was aborted.
     pub reason: Option<String>,

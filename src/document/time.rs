@@ -1,4 +1,4 @@
-//! Moments in documents: UTC, RFC 3339.
+//! Times in documents: UTC, RFC 3339.
 
 use jiff::Timestamp;
 

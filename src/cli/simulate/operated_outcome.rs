@@ -27,7 +27,8 @@ pub struct OperatedOutcome {
     /// After each estimate: number of views, seconds, and the median and the worst predicted
     /// uncertainty over the image, in pixels.
     pub course: Vec<(u32, f64, f64, f64)>,
-    /// The predicted numbers of further views, at least and at most, each after so many views.
+    /// The predicted numbers of further views, at least and at most, each with the number of views
+    /// before it.
     pub to_go: Vec<(u32, [u32; 2])>,
 }
 
