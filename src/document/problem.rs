@@ -27,10 +27,10 @@ pub struct ProblemDocument {
     /// What was seen, image by image.
     #[schema(min_items = 1)]
     pub views: Vec<ProblemViewDocument>,
-    /// The lens model to fit; `auto` when left out.
+    /// The lens model to fit; default: `auto`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lens: Option<LensRequest>,
-    /// How to solve; `calibrate` when left out.
+    /// How to solve; default: `calibrate`.
     #[serde(default)]
     pub method: Method,
     /// Whether skew is estimated; else it is 0.
@@ -46,10 +46,10 @@ pub struct ProblemDocument {
     /// Always estimate the board's shape: the same as `board_shape` `free`.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub warp: bool,
-    /// What shape the board has; `auto` when left out.
+    /// The board's shape; default: `auto`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub board_shape: Option<BoardShapeRequest>,
-    /// How the sensor reads its rows; `auto` when left out.
+    /// How the sensor reads its rows; default: `auto`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shutter: Option<ShutterRequest>,
 }
@@ -138,7 +138,7 @@ const ALWAYS_OUTSIDE: usize = 2;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ProblemViewDocument {
-    /// What it is called in errors and in the result; its index when left out.
+    /// What it is called in errors and in the result; default: its index.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
     /// Points of the object, in meters: `[X, Y, Z]`.

@@ -30,10 +30,10 @@ pub struct StartDocument {
     /// The calibration target: a board, or a scene for none. A board has no default size: count its
     /// corners, squares or tags, and measure one.
     pub target: TargetDocument,
-    /// The lens model to fit; `auto` when left out.
+    /// The lens model to fit; default: `auto`.
     #[serde(default)]
     pub lens: LensRequest,
-    /// When to stop by itself; when left out it runs till it is stopped.
+    /// When to stop by itself; default: it runs until it is stopped.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub finish: Option<FinishDocument>,
     /// Known lenses of a rig's cameras, which are held fixed, by `CAMERA.color`; as `lens` in

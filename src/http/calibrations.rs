@@ -28,7 +28,7 @@ use crate::store::Store;
 #[derive(utoipa::IntoParams)]
 #[into_params(parameter_in = Query)]
 pub(super) struct ExportParameters {
-    /// The format; json when left out. Its schema says what each is.
+    /// The format; default: json. Its schema says what each is.
     #[param(schema_with = schemas::format, required = false)]
     format: Option<Format>,
     /// The sensor, for formats with a single sensor: color (default), infrared, infrared2, depth,

@@ -23,13 +23,13 @@ pub(super) struct FocusParameters {
     /// The width of one pixel, in micrometers.
     #[param(minimum = 0.01, maximum = 1000.0)]
     pixel_um: f64,
-    /// Focal length, in millimeters; the current calibration's when left out.
+    /// Focal length, in millimeters; default: the current calibration's.
     #[param(schema_with = schemas::focal_mm, required = false)]
     focal_mm: Option<f64>,
-    /// The distance in focus, in meters; infinity when left out.
+    /// The distance in focus, in meters; default: infinity.
     #[param(schema_with = schemas::focus_m, required = false)]
     focus_m: Option<f64>,
-    /// How wide a point may become and count as sharp, in pixels; 1 when left out.
+    /// Largest acceptable circle of confusion, in pixels; default: 1.
     #[param(schema_with = schemas::blur_px, required = false)]
     blur_px: Option<f64>,
     /// Inner corners along a row of the board to be recommended.

@@ -24,13 +24,13 @@ const BOUNDARY: &str = "plumb-frame";
 #[derive(utoipa::IntoParams)]
 #[into_params(parameter_in = Query)]
 pub(super) struct DrawingParameters {
-    /// color (when left out), infrared, infrared2 (the right one of two) or depth.
+    /// color (default), infrared, infrared2 (the right one of two) or depth.
     #[param(schema_with = schemas::sensor_kind, required = false)]
     sensor: Option<SensorKind>,
     /// Draw the corners that were found, and with `registered=color` the edges of depth over
     /// color. When left out: false for an image, true for the preview.
     overlay: Option<bool>,
-    /// Draw where to hold the board next; as `overlay` when left out.
+    /// Draw where to hold the board next; default: as `overlay`.
     guidance: Option<bool>,
     /// Undistort with the current calibration; default: false.
     undistorted: Option<bool>,

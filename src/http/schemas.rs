@@ -8,7 +8,7 @@ use crate::imaging::frame::SensorKind;
 /// The name of a format, and what each is.
 pub(super) fn format() -> Object {
     let each = Format::ALL.map(|format| format!("{}: {}", format.name(), format.description()));
-    let description = format!("json when left out. {}.", each.join("; "));
+    let description = format!("Default: json. {}.", each.join("; "));
     one_of(Format::ALL.map(Format::name)).description(Some(description)).build()
 }
 
