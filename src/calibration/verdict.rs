@@ -219,9 +219,8 @@ fn too_simple_lens(estimate: &CameraEstimate, check: &ModelCheck) -> Option<Find
     let LensMisfit { model, held_out_rms_px: [own_px, larger_px], fx, widening } =
         check.lens_misfit?;
     let own = estimate.lens.model();
-    let off = |px: Option<f64>| {
-        px.map_or("more than can be computed".to_owned(), |px| format!("{px:.3} px"))
-    };
+    let off =
+        |px: Option<f64>| px.map_or("too large to compute".to_owned(), |px| format!("{px:.3} px"));
     let (own_px, larger_px) = match (own_px, larger_px) {
         (Some(own_px), Some(larger_px)) => {
             in_differing_digits([own_px, larger_px], 3).map(|px| format!("{px} px")).into()

@@ -80,7 +80,7 @@ fn focal(evidence: &Evidence<'_>) -> Option<Finding> {
     Finding::worse_than_good(
         Grade::of_figure(std, FOCAL_STD),
         format!(
-            "the focal length is known to {percent:.2} % (1 sigma): add images from more places around the scene, some rotated by 90 degrees"
+            "the focal length is uncertain by {percent:.2} % (1 sigma): add images from more places around the scene, some rotated by 90 degrees"
         ),
     )
 }
