@@ -124,11 +124,11 @@ mod tests {
             ),
             (
                 "[ros2]\ndomain_id = 300\n",
-                "plumb.toml:2: ros2.domain_id: 300 is no domain; write 0 to 232",
+                "plumb.toml:2: ros2.domain_id: 300 is not a valid domain; write 0 to 232",
             ),
             (
                 "[ros2]\nalpha = 2\n",
-                "plumb.toml:2: ros2.alpha: 2 cannot be; give a number from 0 to 1",
+                "plumb.toml:2: ros2.alpha: 2 is out of range; give a number from 0 to 1",
             ),
             (
                 "[ros2]\nsession = { target = { kind = \"chessboard\", cols = 1, rows = 6, square_m = 0.025 } }\n",
@@ -138,9 +138,12 @@ mod tests {
             ("\n[server]\nlisten = 8600\n", "plumb.toml:3: listen: invalid type: integer `8600`"),
             (
                 "[server]\nsolve_seconds = 0\n",
-                "plumb.toml:2: server.solve_seconds: 0 cannot be; give 1 to 3600",
+                "plumb.toml:2: server.solve_seconds: 0 is out of range; give 1 to 3600",
             ),
-            ("[server]\nlisten = \"here\"\n", "plumb.toml:2: server.listen: `here` is no address"),
+            (
+                "[server]\nlisten = \"here\"\n",
+                "plumb.toml:2: server.listen: `here` is not an address",
+            ),
             (
                 "[server]\nlisten = \"0.0.0.0:1\"\n",
                 "plumb.toml:2: server.listen: `0.0.0.0:1` can be reached by others",

@@ -105,7 +105,7 @@ fn the_contracts_v4l2_camera_reads_as_written() {
 #[test]
 fn what_cannot_be_is_refused_at_its_key() {
     let cases = [
-        ("{ kind = \"webcam\" }", "camera.source.kind: `webcam` is no kind"),
+        ("{ kind = \"webcam\" }", "camera.source.kind: `webcam` is not a valid kind"),
         ("{ kind = \"recording\" }", "camera.source.path: missing"),
         (
             "{ kind = \"recording\", path = \"/not/there.mcap\" }",
@@ -113,7 +113,7 @@ fn what_cannot_be_is_refused_at_its_key() {
         ),
         (
             "{ kind = \"recording\", path = \"/\", pace = \"slow\" }",
-            "camera.source.pace: `slow` is no pace",
+            "camera.source.pace: `slow` is not a valid pace",
         ),
         (
             "{ kind = \"recording\", path = \"/\", fps = 0 }",
@@ -139,21 +139,21 @@ fn what_cannot_be_is_refused_at_its_key() {
         ("{ kind = \"simulator\", tint = 1 }", "tint: unknown field `tint`"),
         (
             "{ kind = \"simulator\", operator = \"sleeps\" }",
-            "camera.source.operator: `sleeps` is no operator; write follows",
+            "camera.source.operator: `sleeps` is not a valid operator; write follows",
         ),
         ("{ kind = \"ros2\" }", "camera.source.topic: missing"),
         (
             "{ kind = \"ros2\", topic = \"front\" }",
-            "camera.source.topic: `front` is no topic; write it as",
+            "camera.source.topic: `front` is not a topic name; write it as",
         ),
         (
             "{ kind = \"ros2\", topic = \"/a\", domain_id = 233 }",
-            "camera.source.domain_id: 233 is no domain; write 0 to 232",
+            "camera.source.domain_id: 233 is not a valid domain; write 0 to 232",
         ),
         ("{ kind = \"v4l2\" }", "camera.source.device: missing"),
         (
             "{ kind = \"uvc\", index = 0, backend = \"v4l\" }",
-            "camera.source.backend: `v4l` is no backend; write \"native\" or \"nokhwa\"",
+            "camera.source.backend: `v4l` is not a valid backend; write \"native\" or \"nokhwa\"",
         ),
         (
             "{ kind = \"uvc\", index = 0, name = \"x\" }",
@@ -165,7 +165,7 @@ fn what_cannot_be_is_refused_at_its_key() {
         ),
         (
             "{ kind = \"realsense\", preset = \"best\" }",
-            "camera.source.preset: `best` is no preset; write one of",
+            "camera.source.preset: `best` is not a valid preset; write one of",
         ),
         (
             "{ kind = \"realsense\", path = \"/\", emitter = true }",

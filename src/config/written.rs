@@ -182,7 +182,7 @@ fn check_solve_time(
 ) -> Result<Duration, ConfigError> {
     let Some(seconds) = seconds else { return Ok(DEFAULT_SOLVE_TIME) };
     if !(1..=3600).contains(seconds.get_ref()) {
-        let problem = format!("{} cannot be; give 1 to 3600", seconds.get_ref());
+        let problem = format!("{} is out of range; give 1 to 3600", seconds.get_ref());
         return Err(place.refuse(&seconds.span(), "server.solve_seconds", problem));
     }
     Ok(Duration::from_secs(*seconds.get_ref()))
@@ -227,7 +227,7 @@ fn check_listen(
 
 fn parse_listen(text: &str, has_token: bool) -> Result<SocketAddr, String> {
     let resolved = text.to_socket_addrs().ok().and_then(|mut addresses| addresses.next());
-    let address = resolved.ok_or("is no address; write HOST:PORT, as in 127.0.0.1:8600")?;
+    let address = resolved.ok_or("is not an address; write HOST:PORT, as in 127.0.0.1:8600")?;
     if address.ip().is_loopback() || has_token {
         Ok(address)
     } else {
@@ -281,7 +281,7 @@ fn check_ros_names(
 fn check_alpha(alpha: Option<&Spanned<f64>>, place: &Place) -> Result<f64, ConfigError> {
     let Some(alpha) = alpha else { return Ok(0.0) };
     if !(0.0..=1.0).contains(alpha.get_ref()) {
-        let problem = format!("{} cannot be; give a number from 0 to 1", alpha.get_ref());
+        let problem = format!("{} is out of range; give a number from 0 to 1", alpha.get_ref());
         return Err(place.refuse(&alpha.span(), "ros2.alpha", problem));
     }
     Ok(*alpha.get_ref())
@@ -330,7 +330,7 @@ fn check_name(
         |problem: &str| Err(place.refuse(&name.span(), key, format!("`{text}` {problem}")));
     let allowed = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
     if text.is_empty() || text.len() > 64 || !text.chars().all(allowed) {
-        return refuse("is no name; use 1 to 64 letters, digits, `-` and `_`");
+        return refuse("is not a valid name; use 1 to 64 letters, digits, `-` and `_`");
     }
     if taken.contains(&text.as_str()) {
         return refuse("is used twice; each camera and each rig needs its own name");

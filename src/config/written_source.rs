@@ -93,7 +93,7 @@ impl WrittenSource {
                     (mode.size.unwrap_or(SIMULATOR_SIZE), mode.fps.unwrap_or(SIMULATOR_FPS));
                 let seat = self.seat.as_ref().map(|seat| (*seat.get_ref(), seat.span()));
                 if let Some((seat, span)) = seat.clone().filter(|(seat, _)| *seat > LAST_SEAT) {
-                    let problem = format!("{seat} is no seat; write 0 to {LAST_SEAT}");
+                    let problem = format!("{seat} is not a valid seat; write 0 to {LAST_SEAT}");
                     return Err(place.refuse(&span, "camera.source.seat", problem));
                 }
                 let (operator, fastest) = (self.operator(place)?, self.is_fastest(place)?);
@@ -103,7 +103,7 @@ impl WrittenSource {
             other => Err(place.refuse(
                 &self.kind.span(),
                 "camera.source.kind",
-                format!("`{other}` is no kind; {KINDS}"),
+                format!("`{other}` is not a valid kind; {KINDS}"),
             )),
         }
     }
@@ -114,7 +114,7 @@ impl WrittenSource {
         for (key, topic) in [("topic", &self.topic), ("depth", &self.depth)] {
             if let Some(topic) = topic.as_ref().filter(|topic| !is_topic(topic.get_ref())) {
                 let problem = format!(
-                    "`{}` is no topic; write it as `ros2 topic list` does, as in /front/image_raw",
+                    "`{}` is not a topic name; write it as `ros2 topic list` does, as in /front/image_raw",
                     topic.get_ref()
                 );
                 return Err(place.refuse(&topic.span(), &format!("camera.source.{key}"), problem));
@@ -149,7 +149,8 @@ impl WrittenSource {
             None | Some(("recorded", _)) => Ok(false),
             Some(("fastest", _)) => Ok(true),
             Some((other, span)) => {
-                let problem = format!("`{other}` is no pace; write \"recorded\" or \"fastest\"");
+                let problem =
+                    format!("`{other}` is not a valid pace; write \"recorded\" or \"fastest\"");
                 Err(place.refuse(&span, "camera.source.pace", problem))
             }
         }
@@ -162,7 +163,8 @@ impl WrittenSource {
         if known.is_some() || name == "walk" {
             return Ok(known);
         }
-        let problem = format!("`{name}` is no operator; write follows, wanders, bars or walk");
+        let problem =
+            format!("`{name}` is not a valid operator; write follows, wanders, bars or walk");
         Err(place.refuse(&operator.span(), "camera.source.operator", problem))
     }
 
@@ -195,7 +197,8 @@ impl WrittenSource {
     fn settings(&self, place: &Place) -> Result<Settings, ConfigError> {
         let unknown = |preset: &Spanned<String>| {
             let names = Preset::ALL.map(Preset::name).join(", ");
-            let problem = format!("`{}` is no preset; write one of {names}", preset.get_ref());
+            let problem =
+                format!("`{}` is not a valid preset; write one of {names}", preset.get_ref());
             place.refuse(&preset.span(), "camera.source.preset", problem)
         };
         let preset = self
@@ -226,7 +229,8 @@ impl WrittenSource {
         let refuse =
             |problem: String| place.refuse(&written.span(), "camera.source.backend", problem);
         let name = written.get_ref();
-        let unknown = || refuse(format!("`{name}` is no backend; write \"native\" or \"nokhwa\""));
+        let unknown =
+            || refuse(format!("`{name}` is not a valid backend; write \"native\" or \"nokhwa\""));
         let backend = Backend::from_name(name).ok_or_else(unknown)?;
         backend.missing().map_or(Ok(backend), |missing| Err(refuse(missing.to_owned())))
     }
@@ -249,7 +253,8 @@ pub(super) fn check_domain(
 ) -> Result<(), ConfigError> {
     match id {
         Some(id) if *id.get_ref() > LAST_DOMAIN => {
-            let problem = format!("{} is no domain; write 0 to {LAST_DOMAIN}", id.get_ref());
+            let problem =
+                format!("{} is not a valid domain; write 0 to {LAST_DOMAIN}", id.get_ref());
             Err(place.refuse(&id.span(), key, problem))
         }
         _ => Ok(()),
