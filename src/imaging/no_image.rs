@@ -33,8 +33,12 @@ impl NoImage {
 impl fmt::Display for NoImage {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let names: Vec<&str> = self.sensors.iter().map(|sensor| sensor.name()).collect();
-        let there = if names.is_empty() { "nothing".to_owned() } else { names.join(" and ") };
-        write!(f, "it holds {there} alone, and its color image is missing: ")?;
+        let there = if names.is_empty() {
+            "nothing".to_owned()
+        } else {
+            format!("only {}", names.join(" and "))
+        };
+        write!(f, "it has {there}, and its color image is missing: ")?;
         let Some(name) = &self.name else {
             return f.write_str(
                 "check that color is delivered (in a recording: on its own topic) with the same timestamps",
@@ -82,11 +86,11 @@ mod tests {
         let named = NoImage::of(&set(Some("03"), &depth));
         assert_eq!(
             named.clone().in_folder(Some("box/")).to_string(),
-            "it holds depth alone, and its color image is missing: put it at box/color/03 (.png, .jpg, .pgm …), or take depth/03 out"
+            "it has only depth, and its color image is missing: put it at box/color/03 (.png, .jpg, .pgm …), or take depth/03 out"
         );
         assert!(named.to_string().contains("put it at color/03 in the recording's folder"));
         let unnamed = NoImage::of(&set(None, &depth)).to_string();
-        assert!(unnamed.contains("depth alone") && unnamed.contains("same times"), "{unnamed}");
-        assert!(NoImage::of(&set(None, &[])).to_string().contains("holds nothing alone"));
+        assert!(unnamed.contains("only depth") && unnamed.contains("same timestamps"), "{unnamed}");
+        assert!(NoImage::of(&set(None, &[])).to_string().contains("it has nothing, and"));
     }
 }
