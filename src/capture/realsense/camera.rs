@@ -128,9 +128,9 @@ impl RealsenseCamera {
         }
         let Some(at) = serials.iter().position(|found| *found == serial) else {
             let others = if serials.is_empty() {
-                "no RealSense camera is".to_owned()
+                "there is no RealSense camera".to_owned()
             } else {
-                serials.join(", ")
+                format!("there are {}", serials.join(", "))
             };
             return Err(lost(format!("it is not plugged in; connected: {others}")));
         };
