@@ -50,7 +50,7 @@ pub enum PreviewError {
         "camera `{camera}`: {} cannot be rectified: {}",
         sensor.name(),
         reason.as_ref().map_or(
-            "no calibration of two cameras with it is approved; run a session of its rig, and approve it".to_owned(),
+            "no calibration of two cameras with it is approved; run a session of its rig, and approve its calibration".to_owned(),
             |reason| format!("by the approved calibration: {reason}"),
         )
     )]
@@ -64,7 +64,7 @@ pub enum PreviewError {
     },
     /// There is no current calibration of color and depth.
     #[error(
-        "camera `{camera}` has no approved calibration of color and depth to register with; run a session, and approve it"
+        "camera `{camera}` has no approved calibration of color and depth to register with; run a session, and approve its calibration"
     )]
     NotRegistered {
         /// The camera's name.
