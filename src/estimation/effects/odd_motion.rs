@@ -21,7 +21,7 @@ const ODD_STDS: f64 = 3.5;
 
 /// Below this many standard deviations, at the minimum of all views, a view fits as the others do.
 /// One view in forty of those that do exceeds it by chance. Chosen, not swept.
-const FITS: f64 = 2.0;
+const FITTING_STDS: f64 = 2.0;
 
 /// Parameters that are fitted to one view: six of its pose, six of its motion.
 const VIEW_PARAMETERS: f64 = 12.0;
@@ -35,7 +35,7 @@ impl EffectSearch {
         let others = good.iter().filter(|other| **other != view).map(|other| residuals(*other));
         let of_others = CappedSquares::of(others, noise_square);
         let misfit = CappedSquares::of([residuals(view)], noise_square);
-        misfit.excess_over(&of_others, VIEW_PARAMETERS) < FITS
+        misfit.excess_over(&of_others, VIEW_PARAMETERS) < FITTING_STDS
     }
 
     /// The motion of `view` in `scene`, relative to that of the other views. `None` unless it is
