@@ -123,12 +123,12 @@ fn check(args: &Check) -> Result<(), Failure> {
         })?;
     } else {
         found.damage.iter().try_for_each(|line| output::print_line(line))?;
-        output::print_line(&format!("{} rows can be read, {count} findings", found.rows))?;
+        output::print_line(&format!("readable rows: {}, findings: {count}", found.rows))?;
     }
     match count {
         0 => Ok(()),
         _ => Err(Failure::failed(format!(
-            "store {}: {count} damaged places; `plumb store repair` rebuilds a damaged database from its readable rows; a row with a wrong checksum can only be restored from a backup",
+            "store {}: damaged places: {count}; `plumb store repair` rebuilds a damaged database from its readable rows; a row with a wrong checksum can only be restored from a backup",
             folder.display()
         ))),
     }

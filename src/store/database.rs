@@ -66,7 +66,7 @@ impl Store {
     /// is copied to a new one. `None` for a database that was intact.
     ///
     /// # Errors
-    /// As [`Store::open`]; [`StoreError::Damaged`] where none of it can be read.
+    /// As [`Store::open`]; [`StoreError::Irreparable`] where none of it can be read.
     pub fn open_or_repair(
         folder: &Path,
         least_free_bytes: u64,
@@ -261,7 +261,7 @@ mod tests {
         let garbage = refusal(|path| std::fs::write(path, vec![7; 10_000]).unwrap());
         assert_eq!(
             garbage,
-            "store DIR/plumb.sqlite: damaged, or not a Plumb store: file is not a database; check `dmesg` for disk errors, then run `plumb store repair` (it moves the file aside), or restore a backup"
+            "store DIR/plumb.sqlite: damaged, or not a Plumb store: file is not a database; check `dmesg` for disk errors, then run `plumb store repair`, or restore a backup"
         );
         let foreign = refusal(|path| {
             Connection::open(path).unwrap().execute_batch("CREATE TABLE cats (id)").unwrap();

@@ -46,9 +46,9 @@ pub enum StoreError {
         known: i64,
     },
     /// Not a database, that of another program, or a broken one; SQLite reports the same for a disk
-    /// that cannot be read.
+    /// that cannot be read. No repair was tried yet.
     #[error(
-        "store {}: damaged, or not a Plumb store: {detail}; check `dmesg` for disk errors, then run `plumb store repair` (it moves the file aside), or restore a backup",
+        "store {}: damaged, or not a Plumb store: {detail}; check `dmesg` for disk errors, then run `plumb store repair`, or restore a backup",
         path.display()
     )]
     Damaged {
@@ -57,10 +57,19 @@ pub enum StoreError {
         /// What is wrong.
         detail: String,
     },
-    /// A row that cannot be read as the type that it should contain.
+    /// As [`StoreError::Damaged`], and a repair finds nothing in it that could be read.
     #[error(
-        "store: {row} cannot be read: {detail}; restore the store from a backup (`plumb store backup` makes one)"
+        "store {}: not a Plumb store, or damaged beyond repair: {detail}; check `dmesg` for disk errors, then move the file away, or restore a backup",
+        path.display()
     )]
+    Irreparable {
+        /// The database.
+        path: PathBuf,
+        /// What is wrong.
+        detail: String,
+    },
+    /// A row that cannot be read as the type that it should contain.
+    #[error("store: {row} cannot be read: {detail}; restore the store from an earlier backup")]
     Unreadable {
         /// Which row.
         row: String,

@@ -75,8 +75,8 @@ fn first_page_of(path: &Path) -> PathBuf {
 /// that can be read; `finding` is the damage that was found.
 ///
 /// # Errors
-/// [`StoreError::Damaged`] where none of it can be read, [`StoreError::Folder`] where the new one
-/// cannot be written. The damaged file is then where it was.
+/// [`StoreError::Irreparable`] where none of it can be read, [`StoreError::Folder`] where the new
+/// one cannot be written. The damaged file is then where it was.
 pub(super) fn repair(path: &Path, finding: &str) -> Result<RepairReport, StoreError> {
     let unusable = |detail: String| StoreError::Folder { path: path.to_owned(), detail };
     let made = path.with_extension("repaired");
@@ -120,14 +120,15 @@ fn readable(
     path: &Path,
     finding: &str,
 ) -> Result<(usize, Connection, Option<TempDir>), StoreError> {
-    let damaged =
-        |detail: &str| StoreError::Damaged { path: path.to_owned(), detail: detail.to_owned() };
+    let irreparable =
+        |detail: &str| StoreError::Irreparable { path: path.to_owned(), detail: detail.to_owned() };
     if let Some((version, connection)) = opened(path) {
         return Ok((version, connection, None));
     }
-    let page = fs::read(first_page_of(path)).map_err(|_| damaged(finding))?;
-    let folder = with_first_page(path, &page).map_err(|e| damaged(&e.to_string()))?;
-    let (version, connection) = opened(&copy_in(&folder, path)).ok_or_else(|| damaged(finding))?;
+    let page = fs::read(first_page_of(path)).map_err(|_| irreparable(finding))?;
+    let folder = with_first_page(path, &page).map_err(|e| irreparable(&e.to_string()))?;
+    let (version, connection) =
+        opened(&copy_in(&folder, path)).ok_or_else(|| irreparable(finding))?;
     Ok((version, connection, Some(folder)))
 }
 
@@ -441,7 +442,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("plumb.sqlite");
         fs::write(&path, vec![7; 10_000]).unwrap();
-        assert!(matches!(Store::open_or_repair(folder.path(), 0), Err(StoreError::Damaged { .. })));
+        let error = Store::open_or_repair(folder.path(), 0).unwrap_err();
+        assert!(matches!(error, StoreError::Irreparable { .. }), "{error}");
         assert_eq!(fs::read(&path).unwrap(), vec![7; 10_000]);
     }
 }

@@ -128,7 +128,8 @@ fn a_damaged_store_is_served_as_far_as_it_is_whole() {
     assert_eq!(start_and_abort(&served).len(), ids[0].len(), "and sessions go on");
     drop(served);
     let repaired = store_command(folder.path(), "repair", &[]);
-    assert_eq!(repaired.stdout.trim(), "SQLite finds no damage, nothing was changed");
+    let said = &repaired.stdout;
+    assert!(said.starts_with("SQLite finds no damage, nothing was changed"), "{said}");
     let pruned = store_command(folder.path(), "prune", &["--keep-sessions", "0"]);
     assert!(pruned.stdout.contains(" deleted"), "{}{}", pruned.stdout, pruned.stderr);
     let empty = store_command(folder.path(), "check", &["--json"]);
