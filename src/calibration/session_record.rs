@@ -40,7 +40,7 @@ pub struct HeldLens {
 /// the time is up.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Finish {
-    /// The goal for the median over the image of the predicted 1-σ reprojection uncertainty, in
+    /// The goal for the median over the image of the predicted 1-σ projection uncertainty, in
     /// pixels.
     pub uncertainty_px: Option<f64>,
     /// The least number of views.

@@ -9,7 +9,7 @@ use crate::calibration::scene::{SceneCalibration, SceneDepth, SceneOptions, cali
 use crate::cli::calibration_output::named;
 use crate::cli::files::{check_no_image, write_file};
 use crate::cli::in_order::all_cores;
-use crate::cli::lens_name::LensName;
+use crate::cli::lens_name::SceneLensName;
 use crate::cli::scene_depth::stated_depth;
 use crate::cli::scene_images::{SceneImages, scene_images};
 use crate::cli::search_args::check_sources;
@@ -28,7 +28,7 @@ use crate::imaging::point_cloud::{CloudPoint, to_ply};
 pub struct Args {
     /// The lens model to fit.
     #[arg(long, default_value = "auto")]
-    lens: LensName,
+    lens: SceneLensName,
     /// Hold a lens parameter fixed, as in fx=600. May be repeated.
     #[arg(long, value_name = "NAME=VALUE", value_parser = crate::cli::estimated::parameter)]
     given: Vec<GivenParameter>,

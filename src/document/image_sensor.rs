@@ -35,7 +35,7 @@ pub struct SensorDocument {
     pub lens_covariance: Vec<Vec<f64>>,
     /// Root mean square of the used corners' reprojection errors, in pixels.
     pub rms_px: f64,
-    /// Predicted 1-σ reprojection uncertainty over the image.
+    /// Predicted 1-σ projection uncertainty over the image.
     pub uncertainty_px: UncertaintyDocument,
     /// The lens models that were compared, where the choice was left to the solve.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

@@ -15,7 +15,8 @@ use crate::geometry::lens::LensModel;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LensModelName(pub LensModel);
 
-/// The requested lens model: one by name, or `auto`, for the one with the smallest held-out error.
+/// The requested lens model: one by name, or `auto`, for the simplest model that no larger one
+/// beats on held-out views.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LensRequest(pub LensChoice);
 
@@ -109,7 +110,7 @@ impl PartialSchema for LensRequest {
     fn schema() -> RefOr<Schema> {
         one_of(
             std::iter::once(AUTO).chain(LensModel::NAMES),
-            "The requested lens model: one by name, or `auto`, for the one with the smallest held-out error.",
+            "The requested lens model: one by name, or `auto`, for the simplest model that no larger one beats on held-out views.",
         )
     }
 }

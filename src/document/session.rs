@@ -102,7 +102,7 @@ fn held(name: &str, lens: &LensDocument) -> Result<HeldLens, DocumentError> {
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FinishDocument {
-    /// The median over the image of the predicted 1-σ reprojection uncertainty that is good enough,
+    /// The median over the image of the predicted 1-σ projection uncertainty that is good enough,
     /// in pixels.
     #[schema(exclusive_minimum = 0.0)]
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -54,7 +54,7 @@ pub struct EstimateDocument {
     pub lens: LensDocument,
     /// Root mean square of the reprojection errors, in pixels.
     pub rms_px: f64,
-    /// Predicted 1-σ reprojection uncertainty over the image.
+    /// Predicted 1-σ projection uncertainty over the image.
     pub uncertainty_px: UncertaintyDocument,
     /// Number of views it was estimated from.
     pub views: u32,

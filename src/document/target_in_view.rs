@@ -22,7 +22,7 @@ pub struct TargetInViewDocument {
     pub corners: usize,
     /// Some of the board is not seen.
     pub partial: bool,
-    /// Black and white change places.
+    /// Black and white are inverted.
     pub inverted: bool,
     /// Why nothing is recognized; else null.
     pub reason: Option<String>,

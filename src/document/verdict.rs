@@ -11,7 +11,7 @@ pub struct ChecksDocument {
     /// Difference between the projections of two solutions, each from half of the views, divided by
     /// its predicted uncertainty: about 1 if the model is right.
     pub split_half_ratio: Option<f64>,
-    /// Error on views that were not fitted to, in pixels.
+    /// Held-out (cross-validation) error, in pixels.
     pub held_out_rms_px: Option<f64>,
     /// Part of the corners that was not used, 0 to 1.
     pub outlier_fraction: f64,

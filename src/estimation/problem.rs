@@ -46,7 +46,7 @@ pub struct BoardView {
 pub enum LensChoice {
     /// This one.
     Model(LensModel),
-    /// The one with the smallest held-out error, fewer parameters preferred.
+    /// The simplest one that no larger one beats on held-out views; without these, in the fit.
     Auto,
 }
 

@@ -215,7 +215,7 @@ pub struct ImageCalibration {
     pub lens_covariance: Vec<Vec<f64>>,
     /// Root mean square over the used corners of the 2-D reprojection error, in pixels.
     pub rms_px: f64,
-    /// Predicted 1-σ reprojection uncertainty over the image.
+    /// Predicted 1-σ projection uncertainty over the image.
     pub uncertainty_px: ProjectionUncertainty,
     /// Every view that was offered, in order.
     pub views: Vec<CalibratedView>,

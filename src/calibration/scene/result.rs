@@ -49,7 +49,7 @@ pub struct SceneSensor {
     pub lens_covariance: Vec<Vec<f64>>,
     /// Root mean square of the used observations' reprojection errors.
     pub rms_px: f64,
-    /// Predicted 1-σ reprojection uncertainty over the image.
+    /// Predicted 1-σ projection uncertainty over the image.
     pub uncertainty_px: ProjectionUncertainty,
 }
 

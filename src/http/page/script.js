@@ -659,8 +659,8 @@ async function press(button, errorPlace, act) {
 
 // What is counted and measured on each kind of board.
 const KINDS = {
-  chessboard: ["Corners in a row", "Square, mm", "Count the inner corners, where four squares meet, and measure one square: the wider the span you measure, the better."],
-  charuco: ["Squares in a row", "Square, mm", "Count the squares, black and white, and measure one square and one marker: the wider the span you measure, the better."],
+  chessboard: ["Corners in a row", "Square, mm", "Count the inner corners, where four squares meet, and measure one square: measuring across many squares and dividing is more accurate."],
+  charuco: ["Squares in a row", "Square, mm", "Count the squares, black and white, and measure one square and one marker: measuring across many squares and dividing is more accurate."],
   scene: ["", "", "There is nothing to count or measure: move the camera around a static scene with texture, mainly sideways, and roll it by 90 degrees from time to time."],
   aprilgrid: ["Tags in a row", "Tag, mm", "Count the tags, and measure a tag with its black border, and the gap between two tags, divided by the tag size."],
 };
