@@ -15,10 +15,10 @@
 //! path = "plumb-data"            # default; made if it is not there
 //! min_free_mb = 100              # default; with less of the disk free, sessions pause
 //! keep_days = 90                 # default: all; sessions that began longer ago are deleted
-//! keep_sessions = 500            # default: all; otherwise the newest ones
+//! keep_sessions = 500            # default: all; only this many, the newest, are kept
 //! keep_mb = 20000                # default: all; the oldest are deleted when the store holds more
 //! keep_recording_days = 30       # default: all; recordings that began longer ago are deleted
-//! keep_recordings = 20           # default: all; otherwise the newest ones
+//! keep_recordings = 20           # default: all; only this many, the newest, are kept
 //! keep_recordings_mb = 50000     # default: all; the oldest are deleted when all hold more
 //!
 //! [calibration]
@@ -30,7 +30,7 @@
 //! session = { target = { kind = "chessboard", cols = 9, rows = 6, square_m = 0.025 } } # what the
 //!                                # service `start` begins: the body of POST …/sessions; default: refused
 //! camera_info_with_images = true # default: false; with each image, too, and with its stamp
-//! alpha = 0.0                    # default; of rectified images every pixel is seen; 1: they hold all
+//! alpha = 0.0                    # default: rectified, only valid pixels; 1: all source pixels
 //!
 //! [[camera]]
 //! name = "front"                 # letters, digits, `-`, `_`; once each

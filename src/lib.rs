@@ -1,5 +1,5 @@
-//! Plumb: a daemon beside a robot's cameras that finds chessboards live, gathers views, calibrates,
-//! and says how far to trust the result.
+//! Plumb: a daemon beside a robot's cameras that detects a calibration board in the live image,
+//! collects views, calibrates, and reports the uncertainty of the result.
 //!
 //! # The map
 //!

@@ -54,8 +54,8 @@ pub struct Ros2Config {
     pub session: Option<SessionRequest>,
     /// Whether camera_info comes with each image too, with the image's stamp. Default: not.
     pub camera_info_with_images: bool,
-    /// What rectified images show, by the P of camera_info: from 0, every pixel of them is seen, to
-    /// 1, all that was seen is in them. Default: 0.
+    /// What rectified images show, by the P of camera_info: from 0, only valid pixels, to 1, all
+    /// source pixels. Default: 0.
     pub alpha: f64,
 }
 

@@ -45,7 +45,7 @@ pub struct CameraEstimate {
     pub views: Vec<ViewEstimate>,
     /// The board's shape, where the views show one.
     pub board_shape: Option<MeasuredBoard>,
-    /// Motion during the read-out, where the views show it.
+    /// Motion during the readout, where the views show it.
     pub rolling_shutter: Option<RollingShutter>,
     /// The models that were compared, where the choice was left open; the chosen one is
     /// [`Self::lens`]'s.
@@ -64,7 +64,7 @@ pub struct ViewEstimate {
     pub fault: Option<ViewFault>,
     /// The board's pose; for a view that is not in use the best guess, if there is one.
     pub camera_from_board: Option<Pose>,
-    /// The board's motion during the view's read-out; `None` without a rolling shutter.
+    /// The board's motion during the view's readout; `None` without a rolling shutter.
     pub motion: Option<ViewMotion>,
     /// Covariance of that pose, as a rotation about the camera's axes (radians) and a translation
     /// of the problem's mean point (meters); `None` for a view that is not in use.

@@ -23,7 +23,7 @@ pub struct MeasuredBoard {
     pub bow_m: [f64; 2],
 }
 
-/// Motion during the read-out of images, over the views.
+/// Motion during the readout of images, over the views.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RollingShutter {
     /// Root mean square translation of the board from the first row to the last, in meters.

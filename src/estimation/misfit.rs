@@ -1,7 +1,7 @@
 //! Why a model does not fit: which effect, added to the model, would explain the residuals. Each
 //! candidate is tested by one Gauss–Newton step from the minimum (a score test, C. R. Rao, 1948).
 //! There are two: a board whose points are off its plane, the same in every view; and motion of the
-//! board or the camera during the read-out of an image.
+//! board or the camera during the readout of an image.
 //!
 //! The board is tested twice. A bow has two unknowns, z = a (1 − x²) + b (1 − y²) over the half
 //! extents. It is reported with its directions, and is cheap enough to test for every set of views.
@@ -28,7 +28,7 @@ use crate::geometry::pixel::Pixel;
 /// The effects that would explain the residuals.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Misfit {
-    /// The part of the sum of squared residuals that motion during the read-out explains, where
+    /// The part of the sum of squared residuals that motion during the readout explains, where
     /// that is large enough.
     pub rolling_shutter: Option<f64>,
     /// The height of the board's points off a plane, from the lowest to the highest, in meters,
@@ -142,7 +142,7 @@ struct AddedEffect {
 }
 
 impl AddedEffect {
-    /// When a pixel was read, relative to the middle of the read-out and in units of its duration;
+    /// When a pixel was read, relative to the middle of the readout and in units of its duration;
     /// `None` where all are read at once.
     fn time(&self, pixel: Pixel) -> Option<f64> {
         match self.read {

@@ -1,4 +1,4 @@
-//! A board's motion during the read-out of one image.
+//! A board's motion during the readout of one image.
 
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
@@ -31,7 +31,7 @@ impl ViewMotion {
     ///     center_m: Point3::origin(),
     /// };
     /// let at_middle = Pose::from_axis_angle(Vector3::zeros(), Vector3::new(0.0, 0.0, 1.0));
-    /// // Half a read-out of 480 rows before the middle.
+    /// // Half a readout of 480 rows before the middle.
     /// let at_top = motion.camera_from_board_at(&at_middle, read_out_time(-0.5, 480.0));
     /// assert!((at_top.translation().x + 0.01).abs() < 1e-12);
     /// ```
@@ -43,8 +43,8 @@ impl ViewMotion {
     }
 }
 
-/// When a pixel was read, relative to the middle of the read-out and in units of its duration.
-/// `along_px` is the pixel's coordinate in the direction of the read-out, `length_px` the image's
+/// When a pixel was read, relative to the middle of the readout and in units of its duration.
+/// `along_px` is the pixel's coordinate in the direction of the readout, `length_px` the image's
 /// length in this direction.
 pub fn read_out_time(along_px: f64, length_px: f64) -> f64 {
     (along_px + 0.5) / length_px - 0.5

@@ -31,7 +31,7 @@ pub struct ExportOptions {
     /// Of a stereo format two of them, as `left,right`; of `kalibr` several, in the chain's order.
     /// Default: the only one, or color's; the cameras of a rig.
     pub sensor: Option<String>,
-    /// Of ROS's formats and the stereo ones: 0 for rectified images of which every pixel is seen, 1
-    /// for those that hold all that was seen. Default: 0.
+    /// Of ROS's formats and the stereo ones: 0 for rectified images that have only valid pixels, 1
+    /// for those with all source pixels. Default: 0.
     pub alpha: f64,
 }

@@ -37,8 +37,8 @@ pub struct GraphPlan {
     pub session: Option<SessionRequest>,
     /// Whether camera_info comes with each image too, with the image's stamp.
     pub info_with_images: bool,
-    /// What rectified images show, by the P of camera_info: with 0 every pixel of them is seen,
-    /// with 1 all that was seen is in them.
+    /// What rectified images show, by the P of camera_info: with 0 only valid pixels, with 1 all
+    /// source pixels.
     pub alpha: f64,
     /// The cameras and rigs, which change with the configuration.
     pub instruments: watch::Receiver<InstrumentsOnGraph>,

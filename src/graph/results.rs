@@ -35,8 +35,8 @@ pub(super) struct SensorInfo {
 }
 
 impl Results {
-    /// Of the calibration of the camera or rig `name`. With `alpha` 0 every pixel of rectified
-    /// images is seen, with 1 all that was seen is in them.
+    /// Of the calibration of the camera or rig `name`. With `alpha` 0 rectified images have
+    /// only valid pixels, with 1 all source pixels.
     pub fn of(name: &str, calibration: &Calibration, alpha: f64) -> Self {
         let guide = calibration.guide();
         let mut results = Self {

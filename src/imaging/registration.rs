@@ -43,8 +43,8 @@ pub struct DepthRegistration {
 /// A reading covers this much of its pixel: a little more than all, so that noise in its neighbors
 /// leaves no cracks between. Chosen, not swept.
 const FOOTPRINT_PX: f64 = 1.25;
-/// A point is hidden from the color camera by what is nearer than this part of its distance.
-/// Chosen, not swept.
+/// A point is hidden from the color camera if its depth is more than this many times the nearest
+/// one at its pixel. Chosen, not swept.
 const HIDDEN_DISTANCE_RATIO: f32 = 1.03;
 
 impl DepthRegistration {

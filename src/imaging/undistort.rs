@@ -11,9 +11,9 @@ use crate::imaging::remap::PixelMap;
 /// What of the image to keep.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct UndistortOptions {
-    /// 0, the default: every pixel of the result is seen. 1: everything that was seen is in the
-    /// result. As OpenCV's `alpha` of `getOptimalNewCameraMatrix`, but for the focal lengths, whose
-    /// ratio stays.
+    /// 0, the default: the result has only valid pixels. 1: all source pixels are in it. As
+    /// OpenCV's `alpha` of `getOptimalNewCameraMatrix`, but for the focal lengths, whose ratio
+    /// stays.
     pub balance: f64,
     /// The size of the result; that of the image unless said.
     pub size: Option<ImageSize>,

@@ -1,4 +1,5 @@
-//! The live part of the program: threads, channels, clocks. Uses every layer below.
+//! The live part of the program: threads, channels, clocks. The list in `src/lib.rs` says which
+//! layers it uses.
 //!
 //! Every frame takes the same path, whatever the instrument. `capture-<camera>` owns the device
 //! (which `close-<camera>` closes, however long that takes) and puts each frame set into a slot

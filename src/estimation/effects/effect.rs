@@ -11,9 +11,9 @@ pub(crate) enum Effect {
     Stretch,
     /// Each corner's own offset in the plane.
     PointOffset,
-    /// The board's rotation during the read-out of an image.
+    /// The board's rotation during the readout of an image.
     Rotation,
-    /// The board's translation during the read-out of an image.
+    /// The board's translation during the readout of an image.
     Translation,
 }
 

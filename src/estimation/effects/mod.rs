@@ -1,5 +1,5 @@
 //! What the plain problem leaves out: the board's true shape as printed and mounted, and its motion
-//! during the read-out of a rolling shutter. Both are random effects of the joint problem:
+//! during the readout of a rolling shutter. Both are random effects of the joint problem:
 //! Gaussian, with variances estimated from the data (`evidence`), and exactly zero where the data
 //! show none.
 //!

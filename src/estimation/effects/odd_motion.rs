@@ -1,4 +1,4 @@
-//! Views whose motion during the read-out is incompatible with that of the others. Such a view must
+//! Views whose motion during the readout is incompatible with that of the others. Such a view must
 //! be tested for, because the motion that the model allows also explains a part of the residuals of
 //! a mirrored image, or of another camera's.
 

@@ -52,7 +52,7 @@ pub(super) struct ViewStep {
     pub(super) motion: Vector6<f64>,
 }
 
-/// When each corner was read, relative to the image's middle, in units of the read-out time.
+/// When each corner was read, relative to the image's middle, in units of the readout time.
 pub(super) fn read_out_times(observation: &BoardObservation, scene: Scene<'_>) -> Vec<f64> {
     let time = |pixel: &Pixel| match scene.by_columns {
         None => read_out_time(pixel.y, scene.rows),
