@@ -107,7 +107,7 @@ pub enum Rejection {
     },
     /// A scene of which no kept view shows anything.
     #[error(
-        "it does not show the scene of the kept views ({matches} inlier matches with the previous frame): go back, and take smaller steps"
+        "it does not show the scene of the kept views (inlier matches with the previous frame: {matches}): go back, and take smaller steps"
     )]
     UnknownScene {
         /// The number of inlier matches with the previous frame.

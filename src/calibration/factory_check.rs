@@ -88,7 +88,7 @@ impl FactoryCheck {
         let factory = percent(self.factory);
         match (self.kept.is_some(), self.own.is_finite()) {
             (true, true) => format!(
-                "the factory's depth calibration is kept: over {views} views its depth error on the board is {factory} of the distance, against {} with a calibration from the other views (the color lens is uncertain by {})",
+                "the factory's depth calibration is kept: over {views} views its depth error on the board is {factory} of the distance, against {} with a calibration from the other views (color's focal length is uncertain by {})",
                 percent(self.own),
                 percent(self.open)
             ),

@@ -41,7 +41,7 @@ impl Provenance {
         let both = self.device.as_ref().zip(now.device.as_ref());
         if let Some((was, is)) = both.filter(|(was, is)| is_another_device(was, is)) {
             return Some(format!(
-                "the device is now {is}, but {calibration} was made with {was}: calibrate again, or approve a calibration of this device"
+                "the device changed from {was} to {is} since {calibration} was made: calibrate again, or approve a calibration of this device"
             ));
         }
         let resized = self.image_sizes.iter().find_map(|(kind, was)| {
@@ -56,7 +56,7 @@ impl Provenance {
         let both = self.source.as_ref().zip(now.source.as_ref());
         both.filter(|(was, is)| was != is).map(|(was, is)| {
             format!(
-                "the source is now {is}, but {calibration} was made with {was}: calibrate again, or check it with `plumb verify`"
+                "the source changed from {was} to {is} since {calibration} was made: calibrate again, or check it with `plumb verify`"
             )
         })
     }
@@ -87,7 +87,7 @@ mod tests {
         for (now, said) in [
             (
                 provenance("v4l2 /dev/video0", Some("C920, serial B"), 640),
-                "the device is now C920, serial B, but it was made with C920, serial A: ",
+                "the device changed from C920, serial A to C920, serial B since it was made: ",
             ),
             (
                 provenance("v4l2 /dev/video0", Some("C920, serial A"), 800),
@@ -95,7 +95,7 @@ mod tests {
             ),
             (
                 provenance("v4l2 /dev/video2", None, 640),
-                "the source is now v4l2 /dev/video2, but it was made with v4l2 /dev/video0: ",
+                "the source changed from v4l2 /dev/video0 to v4l2 /dev/video2 since it was made: ",
             ),
         ] {
             let reason = was.change(&now, "it").unwrap();

@@ -267,7 +267,7 @@ fn scale_doubt(joint: &RgbdEstimate, board: &Target) -> Option<String> {
     if off < CAUSE_SIGMAS * std {
         let (std, along_mm) = (100.0 * std, 1e3 * along_m);
         return Some(format!(
-            "depth differs from the board by {percent:+.1} ± {std:.1} % in every view; the cause cannot be determined: a wrong depth unit, a wrong {what}, or the depth camera's position (uncertain by {along_mm:.0} mm along its axis); show the board nearer and farther, and record infrared if available"
+            "depth differs from the board by {percent:+.1} ± {std:.1} % in every view; the cause cannot be determined: a wrong depth unit, a wrong {what} size, or the depth camera's position (uncertain by {along_mm:.0} mm along its axis); show the board nearer and farther, and record infrared if available"
         ));
     }
     let [stated_mm, fitting_mm] = [length_m, length_m * factor].map(|m| 1e3 * m);

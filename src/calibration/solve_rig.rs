@@ -65,7 +65,7 @@ pub enum RigError {
     NothingShared,
     /// One camera's list of frames is shifted against another's.
     #[error(
-        "the frames of `{camera}` match those of `{reference}` {places} frames {when}: name or number the frames so that frames taken together have the same name or number"
+        "the frames of `{camera}` match those of `{reference}` that are {when} in the list (by {places}): name or number the frames so that frames taken together have the same name or number"
     )]
     Shifted {
         /// The camera.

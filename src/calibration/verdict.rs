@@ -237,8 +237,9 @@ fn too_simple_lens(estimate: &CameraEstimate, check: &ModelCheck) -> Option<Find
         )
     };
     if widening > NOTABLE_WIDENING {
-        reason +=
-            &format!("; the stated uncertainties are increased {widening:.1} times to cover this");
+        reason += &format!(
+            "; the stated uncertainties are increased by a factor of {widening:.1} to cover this"
+        );
     }
     Some(Finding { grade: Grade::Usable, reason })
 }
@@ -322,7 +323,7 @@ fn correlated(estimate: &CameraEstimate) -> Option<Finding> {
         _ => format!("{} of the {} lens are", names.join(", "), lens.model()),
     };
     let reason = format!(
-        "{which} strongly correlated with other coefficients: use all coefficients together, never one alone; the projection uncertainty is not affected"
+        "{which} not determined individually: use all coefficients together, never one alone; the projection uncertainty is not affected"
     );
     (!names.is_empty()).then_some(Finding { grade: Grade::Good, reason })
 }

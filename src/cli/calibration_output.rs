@@ -184,8 +184,7 @@ fn sensor_lines(name: &str, sensor: &ImageCalibration) -> Vec<String> {
     let together = undetermined_coefficients(&sensor.lens, &sensor.lens_std, sensor.image_size);
     for ((name, value), std) in names.iter().zip(sensor.lens.parameters()).zip(&sensor.lens_std) {
         if *std > 0.0 || value != 0.0 {
-            let note =
-                if together.contains(name) { ", strongly correlated with the others" } else { "" };
+            let note = if together.contains(name) { ", not determined individually" } else { "" };
             lines.push(format!("  {name:4} {value:>14.6} ± {std:.6}{note}"));
         }
     }
@@ -195,18 +194,18 @@ fn sensor_lines(name: &str, sensor: &ImageCalibration) -> Vec<String> {
                 .map(|m| m * 1000.0);
         let rms = value_with_std(rms, std);
         lines.push(format!(
-            "  the board is uneven by {rms} mm (rms), bowed by {x:.3} mm along its rows and {y:.3} mm along its columns: measured and taken into account"
+            "  the board is uneven by {rms} mm (rms), bowed by {x:.3} mm along its rows and {y:.3} mm along its columns: estimated and corrected for"
         ));
     }
     if let Some(shutter) = &sensor.rolling_shutter {
         let agreed = match shutter.agreement {
             agreement if agreement < 1.0 => {
-                format!("perhaps, views do not all agree: counts to {:.0} %", 100.0 * agreement)
+                format!("possible; the views disagree: weighted by {:.0} %", 100.0 * agreement)
             }
-            _ => String::from("taken into account"),
+            _ => String::from("estimated and corrected for"),
         };
         lines.push(format!(
-            "  rolling shutter: the board moved by {:.3} mm and {:.3} degrees (rms) while an image was read: {agreed}",
+            "  rolling shutter: the board moved by {:.3} mm and {:.3} degrees (rms) during readout: {agreed}",
             shutter.translation_m * 1000.0,
             shutter.rotation_rad.to_degrees()
         ));

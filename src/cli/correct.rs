@@ -347,7 +347,7 @@ fn off_line(off: &[[f64; 2]]) -> String {
     let middle_mm = |k: usize| median(off.iter().map(|one| 1e3 * one[k]).collect());
     match (middle_mm(0), middle_mm(1)) {
         (Some(before), Some(after)) => format!(
-            "off the board by {before:.2} mm rms before and {after:.2} mm after: the median of {} images",
+            "depth error on the board: {before:.2} mm rms before and {after:.2} mm after, medians over the images (number: {})",
             off.len()
         ),
         _ => "no color image with depth shows the calibration's board: give a recording of it"

@@ -362,8 +362,8 @@ fn report(
     let count = pairs.len();
     output::print_line(&format!("{}: {count} rectified pairs; {all}", args.out.display()))?;
     match rows.filter(|rows| rows.rms_px > NO_PAIR_PX) {
-        Some(_) => Err(Failure::failed(format!(
-            "{lines} differ by more than {NO_PAIR_PX} px (rms), which those of no stereo pair do: check that the images are of this rig, taken at the same time, and that the left camera comes first"
+        Some(RowDifferences { rms_px, .. }) => Err(Failure::failed(format!(
+            "{lines} differ by {rms_px:.2} px rms, more than the {NO_PAIR_PX} px of any stereo pair: check that the images are of this rig, taken at the same time, and that the left camera comes first"
         ))),
         None => Ok(()),
     }

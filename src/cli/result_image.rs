@@ -113,7 +113,7 @@ mod tests {
         let mut files = ResultFiles::of(given.iter().chain([&with_sensors]));
         for name in ["depth/1.png", "plain/2.png", "3.png"] {
             let refused = files.write("a.png", &at(name), b"result").unwrap_err();
-            assert!(refused.contains("over the image"), "{refused}");
+            assert!(refused.contains("would overwrite the input image"), "{refused}");
             assert_eq!(std::fs::read(at(name)).unwrap(), b"image");
         }
         // An earlier result may be written anew, once.

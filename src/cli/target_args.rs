@@ -46,7 +46,7 @@ pub struct ShapeOrSceneArgs {
     /// along a column.
     #[arg(long, required_unless_present_any = ["target", "scene"])]
     board: Option<BoardSize>,
-    /// The target in FILE, in place of --board: a chessboard, a ChArUco board or an AprilGrid as
+    /// Read the target from FILE instead of --board: a chessboard, ChArUco board or AprilGrid as
     /// JSON or TOML, or Kalibr's YAML.
     #[arg(long, value_name = "FILE", conflicts_with = "board")]
     target: Option<PathBuf>,

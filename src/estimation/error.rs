@@ -76,7 +76,7 @@ pub enum EstimationError {
     },
     /// Not enough views to determine the lens.
     #[error(
-        "only {usable} usable views; {needed} are needed, with the board tilted differently in each{rejected}"
+        "usable views: {usable}; at least {needed} are needed, with the board tilted differently in each{rejected}"
     )]
     TooFewViews {
         /// Views that could be used.

@@ -38,8 +38,7 @@ pub fn check_given_range(given: &[GivenParameter], size: ImageSize) -> Result<()
     Ok(())
 }
 
-const FOCAL: &str =
-    "outside this range the field of view would be below 0.01 degrees, or the whole world a spot";
+const FOCAL: &str = "outside this range the field of view would be below 0.01 degrees, or all directions would fit in a circle of a quarter of the image's shorter side";
 const PRINCIPAL: &str =
     "the principal point is inside the image or, for a crop, at most ten image sizes outside it";
 

@@ -37,7 +37,7 @@ pub enum ViewFault {
     Shifted(GridLine),
     /// Rotated by half a turn relative to the rig's other sensors.
     #[error(
-        "labels rotated by 180 degrees: its first corner is not the first corner of the other sensors"
+        "its labels are rotated by 180 degrees: its first corner is not the first corner of the other sensors"
     )]
     HalfTurn,
     /// Labeled along the columns.

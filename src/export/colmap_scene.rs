@@ -66,7 +66,7 @@ fn image_names(paths: &[&str]) -> (Vec<String>, Option<String>) {
     let blanks = blanks.first().map(|first| {
         let count = blanks.len();
         format!(
-            "COLMAP reads names only up to the first space, so images.txt has _ for spaces: rename {count} images accordingly (the first is `{first}`)"
+            "COLMAP reads names only up to the first space, so images.txt has _ for spaces: rename the images accordingly ({count} in all, the first is `{first}`)"
         )
     });
     let repeated = repeated.map(|(name, count)| {
@@ -159,7 +159,10 @@ mod tests {
         let (names, note) = image_names(&["x/a b.png", "x/a_b.png", "x/c.png"]);
         assert_eq!(names, ["a_b.png", "a_b.png", "c.png"]);
         let note = note.unwrap();
-        assert!(note.contains("rename the images alike (1, the first is `a b.png`); "), "{note}");
+        assert!(
+            note.contains("rename the images accordingly (1 in all, the first is `a b.png`); "),
+            "{note}"
+        );
         assert!(note.ends_with("2 images have the name a_b.png, and COLMAP needs one for each"));
         assert_eq!(image_names(&[]), (Vec::new(), None));
     }

@@ -232,7 +232,7 @@ mod tests {
             (
                 several.clone(),
                 OtherImages { crop: Some(crop), ..OtherImages::default() },
-                "which of color, infrared",
+                "name one of color, infrared",
             ),
             (
                 several.clone(),

@@ -57,7 +57,8 @@ pub(super) async fn solve(
             "all solvers were busy for {seconds} s; send the request again"
         ))
     };
-    let stopping = || Problem::unavailable("the daemon is stopping; send it again when it is back");
+    let stopping =
+        || Problem::unavailable("the daemon is stopping; send the request again when it is back");
     let place = Arc::clone(&shared.solves).acquire_owned();
     let place = tokio::time::timeout(shared.solve_time, place).await;
     let place = place.map_err(|_| busy())?.map_err(|_| stopping())?;

@@ -235,11 +235,9 @@ async fn said_of_calibration(width: u32, serial: &str) -> String {
 async fn a_calibration_of_other_images_is_said_to_be() {
     assert_eq!(said_of_calibration(64, "A").await, "");
     let reason = said_of_calibration(64, "B").await;
-    assert!(
-        reason.starts_with(
-            "the device is now serial B, but the calibration was made with serial A: "
-        )
-    );
+    assert!(reason.starts_with(
+        "the device changed from serial A to serial B since the calibration was made: "
+    ));
     let reason = said_of_calibration(80, "A").await;
     assert!(reason.starts_with("color images are now 64x48, but the calibration is for 80x48: "));
 }
@@ -264,8 +262,7 @@ async fn a_rig_s_calibration_of_another_camera_is_said_to_be() {
         _ => None,
     })
     .await;
-    let said =
-        "the device is now serial B, but the calibration of rig `head` was made with serial A: ";
+    let said = "the device changed from serial A to serial B since the calibration of rig `head` was made: ";
     assert!(drift.reason.starts_with(said), "{}", drift.reason);
     assert_eq!(fleet.rig("head").unwrap().reason, Some(drift.reason));
     feeds[0].send(ScriptStep::Fail(lost("unplugged"))).unwrap();

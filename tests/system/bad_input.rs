@@ -141,7 +141,11 @@ const TABLE: &[(&str, i32, &[&str])] = &[
         1,
         &["no 9x6 chessboard", "any of 2 images", "gray.jpg"],
     ),
-    ("calibrate --board 9x6 --square 25mm @gray.jpg @small", 1, &["64x48", "320x240", "each size"]),
+    (
+        "calibrate --board 9x6 --square 25mm @gray.jpg @small",
+        1,
+        &["64x48", "320x240", "each image size"],
+    ),
     ("solve", 2, &["PROBLEM.json"]),
     ("solve @gone.json", 1, &["gone.json", "cannot be read"]),
     ("solve @nan.json", 1, &["nan.json", "views[0].image[0][1]", "NaN", "finite"]),

@@ -34,7 +34,8 @@ fn has_kept(session: &Value) -> bool {
 fn assert_given_up(served: &Served, session: &Value) {
     assert_eq!(session["state"], "aborted", "{session}");
     let reason = session["reason"].as_str().unwrap();
-    let words = ["source of camera `front`", "hard.mcap now", "walk.mcap", "start a new session"];
+    let words =
+        ["source of camera `front`", "walk.mcap to recording", "hard.mcap", "start a new session"];
     assert!(words.iter().all(|word| reason.contains(word)), "{reason}");
     assert!(!reason.contains('\n') && has_kept(session), "{session}");
     let path = format!("/v1/sessions/{}", session["id"].as_str().unwrap());

@@ -280,7 +280,10 @@ fn a_lens_that_was_changed_since_is_reported() {
     });
     let other = events.until(|event| event.name == "drift").data;
     let reason = served.get("/v1/cameras/front").json()["reason"].as_str().unwrap().to_owned();
-    assert!(reason.starts_with("the source is recording ") && other["reason"] == reason, "{other}");
+    assert!(
+        reason.starts_with("the source changed from recording ") && other["reason"] == reason,
+        "{other}"
+    );
     assert!(other["calibration"].is_string() && other["rms_px"].is_null(), "{other}");
     // The boards say so too.
     let id = start_session(&served, "front", &request("brown"));

@@ -192,7 +192,7 @@ fn a_rig_does_without_the_camera_that_is_slow_stalled_or_gone() {
     let waits = |session: &Value| {
         session["reason"]
             .as_str()
-            .is_some_and(|reason| reason.starts_with("waits for camera `far`"))
+            .is_some_and(|reason| reason.starts_with("waiting for camera `far`"))
     };
     until("the session says that a camera is gone", || waits(&session()));
     let seen = frames_seen(0);

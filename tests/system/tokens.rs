@@ -132,7 +132,9 @@ fn files_and_names_that_cannot_be_are_refused() {
         served.stderr
     };
     assert!(of(PLAIN, 0o644).contains("can be read or changed by others (mode 644); chmod 600"));
-    assert!(of("hunter2", 0o600).contains("can be guessed: at least 128 bits are needed"));
+    assert!(
+        of("hunter2", 0o600).contains("can be guessed: at least 128 bits of entropy are needed")
+    );
     assert!(of("", 0o600).contains("it is empty; `plumb token add` makes a token"));
     assert!(
         of("t\u{f6}ken-that-is-long-enough-to-be-one", 0o600)

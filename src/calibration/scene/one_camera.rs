@@ -89,7 +89,7 @@ mod tests {
         assert_eq!(check_one_camera(&[one(), image("b", None), one()]), Ok(()));
         let mixed = [image("b", by("B 2", 18.0, [3000, 2000])), one(), one()];
         let said = check_one_camera(&mixed).unwrap_err().to_string();
-        assert!(said.starts_with("`b` is by B 2, `a` by A 1"), "{said}");
+        assert!(said.starts_with("`b` was taken with B 2, `a` with A 1"), "{said}");
         let zoomed = [one(), one(), image("c", by("A 1", 35.0, [3000, 2000]))];
         let said = check_one_camera(&zoomed).unwrap_err().to_string();
         assert!(said.starts_with("`c` was taken at 35 mm, `a` at 18 mm"), "{said}");

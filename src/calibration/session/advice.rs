@@ -101,12 +101,12 @@ fn note(suggested: &SuggestedView, views: usize, now: &Now<'_>) -> Option<String
     (views >= VIEWS_BEFORE_DOUBT && few > now.room).then(|| {
         // Depth is usually limited by its readings, not by the corners: the advice differs.
         let (what, remedy) = if suggested.is_for_depth {
-            (" for depth projected into color", "use a larger board or raise the goal")
+            (" for depth projected into color", "use a larger board, or set a larger goal (in px)")
         } else {
             ("", "use a larger board, sharper images or more light")
         };
         format!(
-            "the goal of {goal_px} px{what} is out of reach (it would take {few} more views): {remedy}"
+            "the goal of {goal_px} px{what} is out of reach (it would take at least {few} more views): {remedy}"
         )
     })
 }

@@ -243,7 +243,7 @@ impl BoardPart {
         let Some(information) = self.information.as_ref().filter(|_| !self.requests_shared) else {
             return;
         };
-        let is_there = |there: &Pose| information.effort(camera_from_board, there) < ARRIVED_EFFORT;
+        let is_there = |there: &_| information.effort(camera_from_board, there) < ARRIVED_EFFORT;
         let there = self.requested.as_ref().map(|there| there.camera_from_board).filter(is_there);
         let Some(there) = there.filter(|_| self.awaited(frame, camera_from_board).is_none()) else {
             return;

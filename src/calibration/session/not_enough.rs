@@ -16,11 +16,11 @@ pub const LEAST_VIEWS: usize = 3;
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub(super) enum NotEnough {
     /// Too few views of a board, where most frames were rejected for their size.
-    #[error("only {kept} views were kept; at least {LEAST_VIEWS} are needed; {SIZE_CHANGED}")]
+    #[error("views kept: {kept}; at least {LEAST_VIEWS} are needed; {SIZE_CHANGED}")]
     SizeChanged { kept: usize },
     /// Too few views of a board.
     #[error(
-        "only {kept} views were kept; at least {LEAST_VIEWS} are needed; {}start again and show the board in more positions, tilted in different directions",
+        "views kept: {kept}; at least {LEAST_VIEWS} are needed; {}start again and show the board in more positions, tilted in different directions",
         clause(rejected.as_ref())
     )]
     Views {
@@ -41,7 +41,7 @@ pub(super) enum NotEnough {
         rejected: Option<CameraRejection>,
     },
     /// Too few key frames of a scene.
-    #[error("only {kept} key frames were kept; at least {LEAST_VIEWS} are needed: {why}")]
+    #[error("key frames kept: {kept}; at least {LEAST_VIEWS} are needed: {why}")]
     KeyFrames { kept: usize, why: FewKeyFrames },
     /// Most images of a scene share nothing with its few key frames.
     #[error("{unknown} of {images} images share too little with the key frames: {why}")]

@@ -227,7 +227,7 @@ fn time_is_that_of_the_frames_and_ends_it() {
             .reason
             .as_ref()
             .unwrap()
-            .starts_with("the time is up: only 0 views were kept; at least 3")
+            .starts_with("the time is up: views kept: 0; at least 3")
     );
 
     let mut lost = session(finish);
@@ -235,7 +235,7 @@ fn time_is_that_of_the_frames_and_ends_it() {
     assert_eq!(lost.waited(10.1), [Action::Close]);
     let reason = lost.record().reason.clone().unwrap();
     let waits =
-        "the time is up: still waiting for the camera: camera 7 was lost: unplugged; only 0";
+        "the time is up: still waiting for the camera: camera 7 was lost: unplugged; views kept: 0";
     assert!(reason.starts_with(waits), "{reason}");
 }
 
@@ -246,12 +246,7 @@ fn too_few_views_fail_and_stay() {
     assert_eq!(session.stop(NOW_NS), Ok(vec![Action::Close]));
     assert_eq!((session.record().state, session.kept().len()), (SessionState::Failed, 2));
     assert!(
-        session
-            .record()
-            .reason
-            .as_ref()
-            .unwrap()
-            .contains("only 2 views were kept; at least 3 are needed")
+        session.record().reason.as_ref().unwrap().contains("views kept: 2; at least 3 are needed")
     );
 }
 
@@ -267,7 +262,7 @@ fn images_that_change_size_are_the_reason() {
     }
     session.stop(NOW_NS).unwrap();
     let reason = session.record().reason.clone().unwrap();
-    assert!(reason.starts_with("only 1 views were kept; at least 3 are needed; "), "{reason}");
+    assert!(reason.starts_with("views kept: 1; at least 3 are needed; "), "{reason}");
     assert!(reason.ends_with("keep the camera at one size and start again"), "{reason}");
 }
 

@@ -128,9 +128,9 @@ impl RealsenseCamera {
         }
         let Some(at) = serials.iter().position(|found| *found == serial) else {
             let others = if serials.is_empty() {
-                "there is no RealSense camera".to_owned()
+                "no RealSense camera".to_owned()
             } else {
-                format!("there are {}", serials.join(", "))
+                serials.join(", ")
             };
             return Err(lost(format!("it is not plugged in; connected: {others}")));
         };

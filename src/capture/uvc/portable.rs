@@ -293,7 +293,7 @@ fn find(selector: &Selector) -> Result<CameraInfo, CaptureError> {
     };
     let absent = || match names.is_empty() {
         true => "no camera is plugged in".to_owned(),
-        false => format!("it is not plugged in; there are {}", names.join(", ")),
+        false => format!("it is not plugged in; connected: {}", names.join(", ")),
     };
     cameras.into_iter().find(meant).ok_or_else(|| lost(&wanted, absent()))
 }

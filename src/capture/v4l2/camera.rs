@@ -140,7 +140,7 @@ fn absence(nodes: &[DeviceNode]) -> String {
         nodes.iter().map(|node| format!("{} ({})", node.path.display(), node.name)).collect();
     match names.is_empty() {
         true => "no camera is plugged in".to_owned(),
-        false => format!("it is not plugged in; there are {}", names.join(", ")),
+        false => format!("it is not plugged in; connected: {}", names.join(", ")),
     }
 }
 
