@@ -43,6 +43,22 @@ fn calibrated(served: &Served) -> Value {
     session
 }
 
+#[test]
+fn a_session_says_that_its_calibration_was_deleted() {
+    let (_folder, served) = started();
+    let session = calibrated(&served);
+    let (id, calibration) = (&session["id"], session["calibration"].as_str().unwrap());
+    let path = format!("/v1/sessions/{}", id.as_str().unwrap());
+    let shown = || {
+        let listed = served.get("/v1/sessions").json()["sessions"][0].clone();
+        [served.get(&path).json(), listed].map(|session| session["calibration_deleted"].clone())
+    };
+    assert_eq!(shown(), [Value::Null, Value::Null]);
+    assert_eq!(served.delete(&format!("/v1/calibrations/{calibration}")).status, 204);
+    assert_eq!(shown(), [json!(true), json!(true)]);
+    assert_eq!(served.get(&path).json()["calibration"], calibration, "still named");
+}
+
 #[track_caller]
 fn has_fields(document: &Value, fields: &[&str]) {
     let object = document.as_object().unwrap_or_else(|| panic!("not an object: {document}"));
