@@ -45,7 +45,11 @@ fn calibrated(served: &Served) -> Value {
 
 #[test]
 fn a_session_says_that_its_calibration_was_deleted() {
-    let (_folder, served) = started();
+    let folder = tempfile::tempdir().unwrap();
+    // An approved calibration is never deleted.
+    let config = replaying("front", "walk.mcap") + "[calibration]\nauto_approve = false\n";
+    let served = Served::start(folder.path(), &config);
+    served.events("?camera=front", Some("0")).until(|event| event.name == "frame");
     let session = calibrated(&served);
     let (id, calibration) = (&session["id"], session["calibration"].as_str().unwrap());
     let path = format!("/v1/sessions/{}", id.as_str().unwrap());
