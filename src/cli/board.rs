@@ -7,7 +7,7 @@ use crate::calibration::rounded::value_with_std;
 use crate::cli::files::{check_not_read, image_sensor, read_calibration, write_file};
 use crate::cli::{Failure, output};
 use crate::document::board_shape::BoardShapeDocument;
-use crate::imaging::board_drawing::{BoardOffsets, board_png};
+use crate::imaging::draw::board_drawing::{BoardOffsets, board_png};
 
 /// Draw the board shape that a calibration measured: heights, and in-plane offsets of the corners.
 #[derive(Debug, clap::Args)]

@@ -18,7 +18,7 @@ use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
 use crate::imaging::decode::luma;
 use crate::imaging::depth_image::DepthImage;
-use crate::imaging::error_drawing::draw_errors;
+use crate::imaging::draw::error_drawing::draw_errors;
 use crate::imaging::frame::Frame;
 use crate::imaging::frame::SensorKind;
 use crate::imaging::gray::GrayImage;
@@ -144,7 +144,7 @@ fn label(when: &str, rms_m: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::imaging::lettering::can_write;
+    use crate::imaging::draw::lettering::can_write;
 
     #[test]
     fn labels_have_all_their_letters() {

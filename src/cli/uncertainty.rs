@@ -8,7 +8,7 @@ use crate::cli::length::Length;
 use crate::cli::{Failure, output};
 use crate::document::uncertainty::UncertaintyMapDocument;
 use crate::estimation::uncertainty::{Distance, MedianAndWorst, UncertaintyMap};
-use crate::imaging::heat_map::{GridValues, ONE_SIGMA_PX, heat_map_png};
+use crate::imaging::draw::heat_map::{GridValues, ONE_SIGMA_PX, heat_map_png};
 
 /// Report a calibration's projection uncertainty over the image.
 #[derive(Debug, clap::Args)]

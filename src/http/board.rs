@@ -11,7 +11,7 @@ use crate::http::calibrations::calibration;
 use crate::http::problem::Problem;
 use crate::http::request::{Address, Asked, Parameters, ReadQuery, known_name};
 use crate::http::shared::{Shared, on_a_blocking_thread};
-use crate::imaging::board_drawing::{BoardOffsets, board_png};
+use crate::imaging::draw::board_drawing::{BoardOffsets, board_png};
 
 /// Which sensor's board is asked for.
 #[derive(utoipa::IntoParams)]

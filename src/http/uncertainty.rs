@@ -17,7 +17,7 @@ use crate::http::problem::Problem;
 use crate::http::request::{Address, Asked, Parameters, ReadQuery, known_name};
 use crate::http::schemas;
 use crate::http::shared::{Shared, on_a_blocking_thread};
-use crate::imaging::heat_map::{GridValues, ONE_SIGMA_PX, heat_map_png};
+use crate::imaging::draw::heat_map::{GridValues, ONE_SIGMA_PX, heat_map_png};
 
 /// Grid columns along the image's longer side, of the numbers and of the image.
 const COLUMNS: [u32; 2] = [UNCERTAINTY_COLUMNS, 49];

@@ -1,7 +1,6 @@
 //! Images and the moments they were taken. Pure; may use geometry (for undistortion).
 
 pub mod bayer;
-pub mod board_drawing;
 mod color_view;
 pub mod decode;
 mod decode_error;
@@ -9,17 +8,13 @@ pub mod deep_gray;
 mod depth_conversion;
 pub mod depth_encoding;
 pub mod depth_image;
-pub mod depth_shading;
 mod distortion_lookup;
 pub mod draw;
-pub mod error_drawing;
 pub mod factory;
 pub mod frame;
 pub mod gray;
-pub mod heat_map;
 pub mod image_file;
 mod jpeg;
-pub mod lettering;
 mod nearest_canvas;
 pub mod no_image;
 pub mod nominal_focal;

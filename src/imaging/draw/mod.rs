@@ -1,5 +1,12 @@
 //! Drawing over an image: what was found in it, and where the board should be next. Edges are
-//! smoothed; what lies outside the image is left out.
+//! smoothed; what lies outside the image is left out. With it, the images that are drawings as a
+//! whole: a measured board, maps of errors and uncertainty, depth as shades.
+
+pub mod board_drawing;
+pub mod depth_shading;
+pub mod error_drawing;
+pub mod heat_map;
+pub mod lettering;
 
 use image::{Rgb, RgbImage};
 

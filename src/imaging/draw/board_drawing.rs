@@ -3,8 +3,8 @@
 use image::{ImageFormat, Rgb, RgbImage};
 
 use crate::geometry::pixel::Pixel;
+use crate::imaging::draw::lettering::{LabelStyle, draw_label, label_size};
 use crate::imaging::draw::{self, Pen, draw_line};
-use crate::imaging::lettering::{LabelStyle, draw_label, label_size};
 
 /// Points of a board in its own frame, with how far each is from there. Lengths in meters.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -169,7 +169,7 @@ fn round_below(factor: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::imaging::lettering::can_write;
+    use crate::imaging::draw::lettering::can_write;
 
     fn grid() -> Vec<[f64; 3]> {
         (0..54).map(|k| [f64::from(k % 9) * 0.025, f64::from(k / 9) * 0.025, 0.0]).collect()

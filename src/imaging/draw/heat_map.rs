@@ -4,7 +4,7 @@ use image::{ImageFormat, Rgb, RgbImage};
 
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::draw;
-use crate::imaging::lettering::{LabelStyle, draw_label, label_size};
+use crate::imaging::draw::lettering::{LabelStyle, draw_label, label_size};
 
 /// A positive quantity on a grid of pixels that spans an image from corner to corner, row by row;
 /// `None` where there is none.
@@ -180,7 +180,7 @@ fn color(value: f64) -> Rgb<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::imaging::lettering::can_write;
+    use crate::imaging::draw::lettering::can_write;
 
     fn map(values: &[Option<f64>]) -> GridValues<'_> {
         GridValues { size: ImageSize::new(640, 480), cols: 9, rows: 7, values }

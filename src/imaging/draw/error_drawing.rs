@@ -4,7 +4,7 @@
 use image::{Rgb, RgbImage};
 
 use crate::geometry::pixel::ImageSize;
-use crate::imaging::lettering::{LabelStyle, draw_label, label_size};
+use crate::imaging::draw::lettering::{LabelStyle, draw_label, label_size};
 
 /// Drawings are enlarged by whole factors up to this longer side, in pixels; larger ones stay.
 const LONGER_SIDE: u32 = 400;
@@ -109,7 +109,7 @@ fn color(part: f32) -> Rgb<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::imaging::lettering::can_write;
+    use crate::imaging::draw::lettering::can_write;
 
     #[test]
     fn errors_are_drawn_where_they_are_on_one_scale() {
