@@ -2,32 +2,17 @@
 //! result. Pure; uses geometry, imaging, estimation, detection and features.
 
 pub mod admission;
-mod auxiliary_image_sensor;
-mod cameras;
-mod composed_pose;
 pub mod coverage;
 pub mod depth_calibration;
 pub mod depth_check;
 pub mod drift;
-pub mod factory_check;
 pub mod guidance;
 pub mod information;
-pub mod instrument;
 mod known_image;
-mod list_shift;
-pub mod observations;
 pub mod placement;
 pub mod plane_error;
 pub mod provenance;
 pub mod result;
-pub mod rgbd_calibration;
-mod rgbd_check;
-mod rgbd_error;
-mod rgbd_guess;
-pub mod rgbd_input;
-pub mod rig_input;
-mod rig_joint;
-mod rig_member;
 pub mod rounded;
 pub mod running_estimate;
 pub mod same_view;
@@ -36,9 +21,6 @@ pub mod sensor;
 pub mod session;
 pub mod session_record;
 pub mod solve;
-mod solve_options;
-pub mod solve_rgbd;
-pub mod solve_rig;
 pub mod stated_calibration;
 pub mod stereo_pair;
 mod tag_spacing;
@@ -47,10 +29,10 @@ pub(crate) mod verdict;
 pub mod view;
 pub mod view_residuals;
 
-pub use crate::calibration::instrument::solve;
-pub use crate::calibration::observations::{
+pub use crate::calibration::solve::instrument::solve;
+pub use crate::calibration::solve::observations::{
     CameraFrameSets, InstrumentObservations, ObservedFrameSet,
 };
-pub use crate::calibration::solve_options::{
+pub use crate::calibration::solve::solve_options::{
     InstrumentError, SolveMethod, SolveOptions, UnsolvedDepth,
 };

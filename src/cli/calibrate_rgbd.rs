@@ -6,9 +6,9 @@ use std::time::Instant;
 
 use crate::calibration::admission::{AdmissionOptions, Rejection};
 use crate::calibration::result::Calibration;
-use crate::calibration::rgbd_input::DepthSensor;
 use crate::calibration::session::Session;
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
+use crate::calibration::solve::rgbd_input::DepthSensor;
 use crate::calibration::view::{FrameFacts, View};
 use crate::calibration::{
     CameraFrameSets, InstrumentObservations, ObservedFrameSet, SolveOptions, solve,

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::calibration::rgbd_input::DepthSensor;
+use crate::calibration::solve::rgbd_input::DepthSensor;
 use crate::cli::sources::is_recording;
 use crate::document::sensors_file::SensorsFile;
 use crate::geometry::pixel::ImageSize;

@@ -1,9 +1,9 @@
 //! A session's views, with those of the cameras' other sensors, as a problem to solve.
 
-use crate::calibration::rgbd_input::DepthSensor;
 use crate::calibration::scene::SceneDepth;
 use crate::calibration::scene::key_frames::KeyFrame;
 use crate::calibration::session::Session;
+use crate::calibration::solve::rgbd_input::DepthSensor;
 use crate::calibration::view::{FrameFacts, View, target_as_seen};
 use crate::calibration::{CameraFrameSets, InstrumentObservations, ObservedFrameSet};
 use crate::estimation::interrupt::Interrupt;

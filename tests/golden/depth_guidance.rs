@@ -6,11 +6,11 @@ use std::sync::Arc;
 
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use plumb::calibration::admission::AdmissionOptions;
-use plumb::calibration::rgbd_input::RgbdFrameSet;
 use plumb::calibration::running_estimate::estimate_so_far;
 use plumb::calibration::session::{Action, CameraFrame, DepthFrame, KeptView, Session};
 use plumb::calibration::session_record::{Finish, SessionRecord, SessionRequest, SessionState};
-use plumb::calibration::solve_rgbd::solve_rgbd;
+use plumb::calibration::solve::rgbd_input::RgbdFrameSet;
+use plumb::calibration::solve::solve_rgbd::solve_rgbd;
 use plumb::calibration::view::FrameFacts;
 use plumb::detection::board_detection::{DetectedCorner, Detection, GridIndex};
 use plumb::estimation::problem::{CameraProblem, Correspondence, LensChoice};

@@ -4,8 +4,8 @@
 use std::f64::consts::FRAC_PI_2;
 
 use nalgebra::{DMatrix, Point3, Rotation3, Vector3, Vector6};
-use plumb::calibration::factory_check::FactoryCheck;
-use plumb::calibration::solve_rgbd::{SolvedRgbd, solve_rgbd};
+use plumb::calibration::solve::factory_check::FactoryCheck;
+use plumb::calibration::solve::solve_rgbd::{SolvedRgbd, solve_rgbd};
 use plumb::estimation::camera::CameraOptions;
 use plumb::estimation::error::EstimationError;
 use plumb::estimation::interrupt::Interrupt;

@@ -8,9 +8,9 @@ use std::process::{Command, Output};
 
 use nalgebra::Vector3;
 use plumb::calibration::result::{Calibration, Grade};
-use plumb::calibration::rgbd_input::{DepthSensor, RgbdFrameSet, RgbdInput};
 use plumb::calibration::sensor::SensorId;
-use plumb::calibration::solve_rgbd::solve_rgbd;
+use plumb::calibration::solve::rgbd_input::{DepthSensor, RgbdFrameSet, RgbdInput};
+use plumb::calibration::solve::solve_rgbd::solve_rgbd;
 use plumb::calibration::view::{FrameFacts, View};
 use plumb::detection::board_detection::DetectOptions;
 use plumb::detection::detector::Detector;

@@ -3,8 +3,8 @@
 
 use nalgebra::{Point3, Vector3};
 use plumb::calibration::depth_calibration::{DepthCalibration, judge_depth};
-use plumb::calibration::rgbd_input::RgbdInput;
-use plumb::calibration::solve_rgbd::solve_rgbd;
+use plumb::calibration::solve::rgbd_input::RgbdInput;
+use plumb::calibration::solve::solve_rgbd::solve_rgbd;
 use plumb::geometry::depth_camera::DepthReading;
 use plumb::geometry::pose::Pose;
 use plumb::imaging::depth_image::DepthImage;
@@ -128,6 +128,6 @@ fn depth_without_color_in_half_the_views_is_reported() {
         capture.color.clear();
     }
     assert!(solve_rgbd(&input, &SeededRgbd::options()).is_ok(), "{:?}", reasons(&input));
-    let line = plumb::calibration::rgbd_calibration::without_color(&input).unwrap();
+    let line = plumb::calibration::solve::rgbd_calibration::without_color(&input).unwrap();
     assert!(line.contains(&format!("{} of {all}", all / 2)) && !line.contains('\n'), "{line}");
 }

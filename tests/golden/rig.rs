@@ -1,9 +1,9 @@
 //! Several sensors at once: where they are, to within the prediction; and what only a rig can find.
 
 use nalgebra::{Point3, Vector3};
-use plumb::calibration::rig_input::{RigInput, RigSensorInput};
 use plumb::calibration::sensor::SensorId;
-use plumb::calibration::solve_rig::solve_rig;
+use plumb::calibration::solve::rig_input::{RigInput, RigSensorInput};
+use plumb::calibration::solve::solve_rig::solve_rig;
 use plumb::estimation::camera::CameraOptions;
 use plumb::estimation::error::EstimationError;
 use plumb::estimation::problem::{GivenParameter, LensChoice};

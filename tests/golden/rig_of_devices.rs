@@ -2,8 +2,8 @@
 //! is said to be, to within what is said of it.
 
 use nalgebra::Vector3;
-use plumb::calibration::rgbd_input::RgbdInput;
 use plumb::calibration::sensor::SensorId;
+use plumb::calibration::solve::rgbd_input::RgbdInput;
 use plumb::calibration::{
     CameraFrameSets, InstrumentObservations, ObservedFrameSet, SolveOptions, solve,
 };
@@ -18,7 +18,7 @@ const VIEWS: usize = 12;
 
 /// A camera's sensors as they saw the board.
 fn camera(name: &str, device: &SeededRgbd, input: RgbdInput) -> CameraFrameSets {
-    let seen = |(number, capture): (usize, plumb::calibration::rgbd_input::RgbdFrameSet)| {
+    let seen = |(number, capture): (usize, plumb::calibration::solve::rgbd_input::RgbdFrameSet)| {
         ObservedFrameSet {
             number,
             name: capture.name,

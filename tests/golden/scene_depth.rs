@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Arc;
 
-use plumb::calibration::rgbd_input::DepthSensor;
 use plumb::calibration::scene::correspondence::SceneImage;
 use plumb::calibration::scene::{SceneCalibration, SceneDepth, SceneOptions, calibrate_scene};
+use plumb::calibration::solve::rgbd_input::DepthSensor;
 use plumb::estimation::problem::LensChoice;
 use plumb::geometry::depth_camera::DepthReading;
 use plumb::geometry::lens::LensModel;

@@ -2,7 +2,7 @@
 //! a known error of depth.
 
 use nalgebra::{Point3, Vector3};
-use plumb::calibration::rgbd_input::{DepthSensor, RgbdFrameSet, RgbdInput};
+use plumb::calibration::solve::rgbd_input::{DepthSensor, RgbdFrameSet, RgbdInput};
 use plumb::estimation::camera::CameraOptions;
 use plumb::estimation::interrupt::Interrupt;
 use plumb::estimation::problem::{Correspondence, LensChoice};

@@ -20,7 +20,7 @@ use crate::calibration::information::depth_information::{DepthInformation, Depth
 use crate::calibration::information::expected_depth::DepthTileNoise;
 use crate::calibration::information::infrared_corners::InfraredNormal;
 use crate::calibration::information::view_information::ViewNormal;
-use crate::calibration::rgbd_guess::{board_outline, same_view};
+use crate::calibration::solve::rgbd_guess::{board_outline, same_view};
 use crate::detection::board_plane::{DepthInput, NoPlane, PlaneOptions, find_board_plane};
 use crate::estimation::problem::BoardView;
 use crate::estimation::rgbd::plane_information::{PlacedDepth, PlaneNormal, TileSample};

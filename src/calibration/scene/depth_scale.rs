@@ -14,8 +14,8 @@ use std::sync::Arc;
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use crate::calibration::result::SceneScale;
-use crate::calibration::rgbd_input::DepthSensor;
 use crate::calibration::scene::result::{SceneCalibration, ScenePoint};
+use crate::calibration::solve::rgbd_input::DepthSensor;
 use crate::estimation::scene::bundle::CameraMotion;
 use crate::estimation::scene::metric_scale::{ScaleEstimate, ScaleReading, metric_scale};
 use crate::estimation::two_view::triangulation::parallax;

@@ -1,4 +1,25 @@
-//! The solve of one camera: an estimate with its checks and its verdict.
+//! From observations to a calibration. This file solves one camera: an estimate with its checks and
+//! its verdict. `instrument` solves whatever the observations are of: by way of `solve_rgbd` a
+//! camera with depth, by way of `cameras` and `solve_rig` several.
+
+mod auxiliary_image_sensor;
+mod cameras;
+mod composed_pose;
+pub mod factory_check;
+pub mod instrument;
+mod list_shift;
+pub mod observations;
+pub mod rgbd_calibration;
+mod rgbd_check;
+mod rgbd_error;
+pub(in crate::calibration) mod rgbd_guess;
+pub mod rgbd_input;
+pub mod rig_input;
+mod rig_joint;
+mod rig_member;
+pub(in crate::calibration) mod solve_options;
+pub mod solve_rgbd;
+pub mod solve_rig;
 
 use nalgebra::DMatrix;
 

@@ -3,21 +3,23 @@
 
 use nalgebra::DMatrix;
 
-use crate::calibration::composed_pose::through;
 use crate::calibration::depth_calibration::DepthCalibration;
-use crate::calibration::observations::CameraFrameSets;
 use crate::calibration::result::{
     CalibratedSensor, CalibratedView, Calibration, Extrinsics, Grade, ImageCalibration, Verdict,
 };
-use crate::calibration::rgbd_calibration::{color_from_depth, halves_of_depth, judged_with_depth};
-use crate::calibration::rgbd_input::RgbdInput;
-use crate::calibration::rig_input::{RigInput, RigSensorInput};
 use crate::calibration::sensor::SensorId;
-use crate::calibration::solve_options::{
+use crate::calibration::solve::composed_pose::through;
+use crate::calibration::solve::observations::CameraFrameSets;
+use crate::calibration::solve::rgbd_calibration::{
+    color_from_depth, halves_of_depth, judged_with_depth,
+};
+use crate::calibration::solve::rgbd_input::RgbdInput;
+use crate::calibration::solve::rig_input::{RigInput, RigSensorInput};
+use crate::calibration::solve::solve_options::{
     InstrumentError, SolveOptions, UnsolvedDepth, without_depth,
 };
-use crate::calibration::solve_rgbd::{SolvedRgbd, solve_rgbd};
-use crate::calibration::solve_rig::solve_rig;
+use crate::calibration::solve::solve_rgbd::{SolvedRgbd, solve_rgbd};
+use crate::calibration::solve::solve_rig::solve_rig;
 use crate::estimation::consistent_labels::FrameSetPose;
 use crate::estimation::rgbd::{PlacedDevice, RgbdEstimate, recalibrate_depth};
 use crate::estimation::rig::FrameSetView;

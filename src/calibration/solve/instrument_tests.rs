@@ -2,8 +2,8 @@ use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 
 use super::*;
-use crate::calibration::observations::ObservedFrameSet;
 use crate::calibration::sensor::SensorId;
+use crate::calibration::solve::observations::ObservedFrameSet;
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::problem::{BoardView, Correspondence, LensChoice};
 use crate::estimation::rig::FrameSetView;

@@ -1,16 +1,16 @@
 //! The solve of an instrument: one camera or several, each with all of its sensors. A single camera
 //! is an instrument of one.
 
-use crate::calibration::auxiliary_image_sensor::with_image_sensor;
-use crate::calibration::cameras::solve_cameras;
-use crate::calibration::observations::{CameraFrameSets, InstrumentObservations};
 use crate::calibration::result::{Calibration, Grade};
-use crate::calibration::rgbd_calibration::with_depth;
-use crate::calibration::solve::{SolvedCamera, solve_dlt, solve_views};
-use crate::calibration::solve_options::{
+use crate::calibration::solve::auxiliary_image_sensor::with_image_sensor;
+use crate::calibration::solve::cameras::solve_cameras;
+use crate::calibration::solve::observations::{CameraFrameSets, InstrumentObservations};
+use crate::calibration::solve::rgbd_calibration::with_depth;
+use crate::calibration::solve::solve_options::{
     InstrumentError, SolveMethod, SolveOptions, UnsolvedDepth, without_depth,
 };
-use crate::calibration::solve_rgbd::solve_rgbd;
+use crate::calibration::solve::solve_rgbd::solve_rgbd;
+use crate::calibration::solve::{SolvedCamera, solve_dlt, solve_views};
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::error::EstimationError;
 use crate::geometry::target::Target;

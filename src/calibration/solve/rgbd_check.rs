@@ -1,7 +1,7 @@
 //! Rejects solutions of color and depth that fit but are not possible: another unit, another
 //! device, a mirrored image.
 
-use crate::calibration::rgbd_error::RgbdError;
+use crate::calibration::solve::rgbd_error::RgbdError;
 use crate::estimation::depth_error::ComparedTile;
 use crate::estimation::rgbd::device_prior::is_plausible;
 use crate::estimation::rgbd::{DepthLens, RgbdEstimate};

@@ -1,7 +1,7 @@
 //! A sensor of a rig that was calibrated by itself.
 
-use crate::calibration::rig_input::RigSensorInput;
 use crate::calibration::solve::SolvedCamera;
+use crate::calibration::solve::rig_input::RigSensorInput;
 use crate::estimation::camera::ViewEstimate;
 use crate::estimation::consistent_labels::FrameSetPose;
 use crate::estimation::rig::FrameSetView;

@@ -1,12 +1,12 @@
 //! The solve of a camera with color and depth: from corners and depth images to lenses, the
 //! sensors' pose, the depth camera's correction, and how far to trust them.
 
-use crate::calibration::factory_check::FactoryCheck;
-use crate::calibration::rgbd_check::check_joint;
-pub use crate::calibration::rgbd_error::RgbdError;
-pub use crate::calibration::rgbd_guess::ViewWithoutDepth;
-use crate::calibration::rgbd_guess::{InitialGuess, JointProblem};
-use crate::calibration::rgbd_input::{RgbdInput, check_measured, poses, problem, views};
+use crate::calibration::solve::factory_check::FactoryCheck;
+use crate::calibration::solve::rgbd_check::check_joint;
+pub use crate::calibration::solve::rgbd_error::RgbdError;
+pub use crate::calibration::solve::rgbd_guess::ViewWithoutDepth;
+use crate::calibration::solve::rgbd_guess::{InitialGuess, JointProblem};
+use crate::calibration::solve::rgbd_input::{RgbdInput, check_measured, poses, problem, views};
 use crate::calibration::solve::{SolvedCamera, solve_views};
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::consistent_labels::{FrameSetPose, consistent_labels};

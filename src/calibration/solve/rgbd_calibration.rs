@@ -3,15 +3,15 @@
 use nalgebra::DMatrix;
 
 use crate::calibration::depth_calibration::{DepthCalibration, judge_depth};
-use crate::calibration::factory_check::FactoryCheck;
 use crate::calibration::result::{
     CalibratedSensor, Calibration, Extrinsics, Finding, Grade, ImageCalibration, PoseStd, Verdict,
 };
-use crate::calibration::rgbd_guess::ViewWithoutDepth;
-use crate::calibration::rgbd_input::RgbdInput;
 use crate::calibration::sensor::SensorId;
+use crate::calibration::solve::factory_check::FactoryCheck;
+use crate::calibration::solve::rgbd_guess::ViewWithoutDepth;
+use crate::calibration::solve::rgbd_input::RgbdInput;
+use crate::calibration::solve::solve_rgbd::SolvedRgbd;
 use crate::calibration::solve::{SolvedCamera, uncertainty_over};
-use crate::calibration::solve_rgbd::SolvedRgbd;
 use crate::calibration::verdict::SPLIT_HALF;
 use crate::estimation::board_pose::board_poses;
 use crate::estimation::depth_error::ComparedTile;

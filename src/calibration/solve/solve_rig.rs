@@ -1,14 +1,14 @@
 //! The solve of several cameras that are fixed to each other: each by itself, then all that share
 //! views jointly.
 
-use crate::calibration::list_shift::list_shift;
 use crate::calibration::result::{
     CalibratedSensor, Calibration, Checks, Extrinsics, Finding, Grade, ImageCalibration, Verdict,
 };
-use crate::calibration::rig_input::{RigInput, RigSensorInput};
-use crate::calibration::rig_joint::Joint;
-use crate::calibration::rig_member::SingleSensor;
 use crate::calibration::sensor::SensorId;
+use crate::calibration::solve::list_shift::list_shift;
+use crate::calibration::solve::rig_input::{RigInput, RigSensorInput};
+use crate::calibration::solve::rig_joint::Joint;
+use crate::calibration::solve::rig_member::SingleSensor;
 use crate::calibration::solve::solve_views;
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::error::EstimationError;

@@ -2,10 +2,10 @@
 //! pose. It is solved with color only, as a rig of two cameras. Depth is measured in the view of
 //! the left one, so this sensor adds nothing to depth.
 
-use crate::calibration::observations::CameraFrameSets;
 use crate::calibration::result::{CalibratedSensor, Calibration, Grade};
-use crate::calibration::rig_input::RigInput;
-use crate::calibration::solve_rig::{RigError, SolvedRig, solve_rig};
+use crate::calibration::solve::observations::CameraFrameSets;
+use crate::calibration::solve::rig_input::RigInput;
+use crate::calibration::solve::solve_rig::{RigError, SolvedRig, solve_rig};
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::problem::LensChoice;
 use crate::geometry::target::Target;

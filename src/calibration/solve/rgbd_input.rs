@@ -1,7 +1,7 @@
 //! The observations of a camera with color and depth, before calibration.
 
-use crate::calibration::rgbd_error::RgbdError;
 use crate::calibration::solve::SolvedCamera;
+use crate::calibration::solve::rgbd_error::RgbdError;
 use crate::estimation::problem::{BoardView, CameraProblem, Correspondence};
 use crate::geometry::depth_camera::{DepthReading, PosedDepthLens};
 use crate::geometry::pixel::ImageSize;

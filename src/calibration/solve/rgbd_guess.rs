@@ -7,9 +7,9 @@ use std::mem::discriminant;
 
 use nalgebra::{DMatrix, Point3};
 
-use crate::calibration::rgbd_error::RgbdError;
-use crate::calibration::rgbd_input::{RgbdFrameSet, RgbdInput, poses, views};
 use crate::calibration::solve::SolvedCamera;
+use crate::calibration::solve::rgbd_error::RgbdError;
+use crate::calibration::solve::rgbd_input::{RgbdFrameSet, RgbdInput, poses, views};
 use crate::detection::board_plane::{DepthInput, NoPlane, PlaneOptions, find_board_plane};
 use crate::detection::plane_growth::grow_plane;
 use crate::estimation::board_pose::board_poses;
@@ -327,7 +327,7 @@ fn reasons(without_depth: &[ViewWithoutDepth]) -> String {
 
 /// The board's outline in the image of a depth camera, `margin` squares beyond its outermost
 /// corners; points outside the lens's valid region are left out.
-pub(super) fn board_outline(
+pub(in crate::calibration) fn board_outline(
     board: &Target,
     depth: &PosedDepthLens,
     color_from_board: &Pose,
@@ -388,7 +388,11 @@ fn moving_pose(lens: &Lens, frame_set: &RgbdFrameSet, corners: &[Correspondence]
 }
 
 /// A pinhole lens with about the same field of view as another camera's.
-pub(super) fn same_view(lens: &Lens, lens_size: ImageSize, size: ImageSize) -> Lens {
+pub(in crate::calibration) fn same_view(
+    lens: &Lens,
+    lens_size: ImageSize,
+    size: ImageSize,
+) -> Lens {
     let scale = f64::from(size.width) / f64::from(lens_size.width);
     let focal = lens.matrix.fx * scale;
     let center = size.center();

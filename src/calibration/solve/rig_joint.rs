@@ -1,9 +1,9 @@
 //! Cameras of a rig that share views, solved together.
 
 use crate::calibration::result::{Extrinsics, Finding, Grade, ImageCalibration, PoseStd};
-use crate::calibration::rig_input::RigInput;
-use crate::calibration::rig_member::SingleSensor;
 use crate::calibration::sensor::SensorId;
+use crate::calibration::solve::rig_input::RigInput;
+use crate::calibration::solve::rig_member::SingleSensor;
 use crate::calibration::solve::sensor_calibration;
 use crate::calibration::verdict::SPLIT_HALF;
 use crate::estimation::camera::CameraOptions;

@@ -1,7 +1,7 @@
 //! How to solve an instrument, and why that may fail.
 
-use crate::calibration::solve_rgbd::RgbdError;
-use crate::calibration::solve_rig::RigError;
+use crate::calibration::solve::solve_rgbd::RgbdError;
+use crate::calibration::solve::solve_rig::RigError;
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::error::EstimationError;
 

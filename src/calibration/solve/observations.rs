@@ -1,9 +1,9 @@
 //! The observations of an instrument's sensors: the one input of [`crate::calibration::solve()`],
 //! whether the instrument is a camera, a depth camera, or a rig of either.
 
-use crate::calibration::rgbd_input::{DepthSensor, RgbdFrameSet, RgbdInput};
-use crate::calibration::rig_input::RigSensorInput;
 use crate::calibration::sensor::SensorId;
+use crate::calibration::solve::rgbd_input::{DepthSensor, RgbdFrameSet, RgbdInput};
+use crate::calibration::solve::rig_input::RigSensorInput;
 use crate::estimation::problem::{BoardView, CameraProblem, Correspondence};
 use crate::estimation::rig::FrameSetView;
 use crate::geometry::lens::Lens;
