@@ -9,11 +9,11 @@ use crate::estimation::effects::apply::with_effects;
 use crate::estimation::error::EstimationError;
 use crate::estimation::jackknife::with_jackknife;
 use crate::estimation::joint::FreeLens;
+use crate::estimation::lens_choice::lens_misfit::LensMisfit;
+use crate::estimation::lens_choice::other_minimum::closer_of_two_minima;
 use crate::estimation::lens_choice::{ChosenLens, choose_lens};
-use crate::estimation::lens_misfit::LensMisfit;
 use crate::estimation::model_check::ModelCheck;
 use crate::estimation::model_error::{noise_floor_px_of, with_noise_floor};
-use crate::estimation::other_minimum::closer_of_two_minima;
 pub use crate::estimation::problem::{CameraOptions, CameraStart};
 use crate::estimation::problem::{CameraProblem, GivenParameter, LensChoice, check};
 use crate::estimation::start::Prepared;
@@ -157,7 +157,7 @@ fn solve_twice(
 enum Minima {
     /// The one that iterations from the start reach.
     Nearest,
-    /// Where the model may have two, the closer fit ([`crate::estimation::other_minimum`]).
+    /// Where the model may have two, the closer fit ([`crate::estimation::lens_choice::other_minimum`]).
     BothSides,
 }
 

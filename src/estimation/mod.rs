@@ -16,8 +16,7 @@
 //! | whether the errors of a view's corners are correlated | `clustered_covariance`, `jackknife` |
 //! | color and depth as one camera | [`rgbd`], [`depth_error`] |
 //! | how far to trust a projection | [`uncertainty`] |
-//! | which lens model | [`lens_choice`], `lens_trial`, `model_averaging` |
-//! | whether another lens of the model fits as closely | [`other_minimum`] |
+//! | which lens model, and whether another lens of it fits as closely | [`lens_choice`] |
 //! | why there is no estimate | [`error`] |
 //! | how an estimate is ended early | [`interrupt`] |
 
@@ -37,18 +36,11 @@ pub mod interrupt;
 mod jackknife;
 mod joint;
 pub mod lens_choice;
-pub mod lens_misfit;
-pub(crate) mod lens_pole;
-mod lens_score;
-pub(crate) mod lens_trial;
 pub mod measured_board;
 mod misfit;
-mod model_averaging;
 pub mod model_check;
 mod model_error;
-mod nearest_lens;
 mod normal_probability;
-pub mod other_minimum;
 pub(crate) mod planar_pose;
 pub mod problem;
 mod refit;
@@ -62,7 +54,6 @@ pub mod scene;
 mod shape_widening;
 pub mod split_halves;
 mod start;
-mod starts_from_other_lenses;
 pub(crate) mod student;
 pub mod two_view;
 pub mod uncertainty;

@@ -3,7 +3,7 @@
 
 use crate::estimation::camera_estimate::CameraEstimate;
 use crate::estimation::camera_fit::CameraFit;
-use crate::estimation::lens_misfit::LensMisfit;
+use crate::estimation::lens_choice::lens_misfit::LensMisfit;
 use crate::estimation::misfit::{Misfit, board_bow_m};
 use crate::estimation::problem::{BoardShape, CameraOptions};
 use crate::estimation::split_halves::{LensWithCovariance, MIN_FRAME_SETS, SplitHalves};

@@ -11,7 +11,7 @@ use crate::estimation::consistent_labels::FrameSetPose;
 use crate::estimation::error::EstimationError;
 use crate::estimation::joint::{BoardObservation, Layout, State};
 use crate::estimation::lens_choice::choose_lens;
-use crate::estimation::other_minimum::closer_of_two_minima;
+use crate::estimation::lens_choice::other_minimum::closer_of_two_minima;
 use crate::estimation::problem::{BoardView, CameraOptions, CameraProblem, LensChoice, check};
 use crate::estimation::robust_fit::robust_fit;
 use crate::estimation::shape_widening::widening;

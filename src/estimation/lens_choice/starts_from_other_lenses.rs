@@ -9,7 +9,7 @@ use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::effects::apply::{with_effects_from, with_same_effects};
 use crate::estimation::joint::minimize::Minimum;
 use crate::estimation::joint::{BoardObservation, FreeLens, State};
-use crate::estimation::nearest_lens::nearest_lens;
+use crate::estimation::lens_choice::nearest_lens::nearest_lens;
 use crate::estimation::problem::CameraOptions;
 use crate::estimation::robust::Loss;
 use crate::estimation::robust_fit::RobustFit;

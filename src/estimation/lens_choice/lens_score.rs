@@ -8,7 +8,7 @@ use crate::estimation::effects::lens_score::costs_beside_effects;
 use crate::estimation::joint::minimize::Minimum;
 use crate::estimation::joint::normal::Step;
 use crate::estimation::joint::{BoardObservation, FreeLens, Layout, State};
-use crate::estimation::nearest_lens::nearest_lens;
+use crate::estimation::lens_choice::nearest_lens::nearest_lens;
 use crate::estimation::problem::{CameraOptions, CameraProblem};
 use crate::estimation::robust::Loss;
 use crate::geometry::lens::LensModel;

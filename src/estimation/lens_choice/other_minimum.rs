@@ -9,11 +9,11 @@
 use crate::estimation::camera_fit::{CameraFit, fit_again};
 use crate::estimation::joint::State;
 use crate::estimation::joint::free_lens::FreeLens;
-use crate::estimation::lens_trial::in_standard_errors;
-use crate::estimation::nearest_lens::{WeightedPoint, nearest_from};
+use crate::estimation::lens_choice::lens_trial::in_standard_errors;
+use crate::estimation::lens_choice::nearest_lens::{WeightedPoint, nearest_from};
+use crate::estimation::lens_choice::starts_from_other_lenses::squares_of_views;
 use crate::estimation::normal_probability::normal_probability;
 use crate::estimation::start::Prepared;
-use crate::estimation::starts_from_other_lenses::squares_of_views;
 use crate::geometry::lens::Lens;
 
 /// The least and the largest distance from ξ = 0 at which a search on the other side starts. With

@@ -9,8 +9,8 @@ use nalgebra::{DMatrix, DVector, Point3};
 
 use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::joint::FreeLens;
-use crate::estimation::lens_trial::Trial;
-use crate::estimation::nearest_lens::{WeightedPoint, nearest_from};
+use crate::estimation::lens_choice::lens_trial::Trial;
+use crate::estimation::lens_choice::nearest_lens::{WeightedPoint, nearest_from};
 use crate::estimation::uncertainty::{Distance, PixelGrid, projection_uncertainty};
 use crate::geometry::lens::Lens;
 

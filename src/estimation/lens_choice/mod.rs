@@ -1,5 +1,15 @@
 //! Chooses the lens model: the smallest that no larger one beats on held-out views
-//! (`lens_trial`).
+//! (`lens_trial`). What else compares lenses is here too: whether the model is too simple
+//! (`lens_misfit`), and whether another lens of it fits as closely (`other_minimum`).
+
+pub mod lens_misfit;
+pub(crate) mod lens_pole;
+mod lens_score;
+mod lens_trial;
+pub(crate) mod model_averaging;
+mod nearest_lens;
+pub mod other_minimum;
+mod starts_from_other_lenses;
 
 use nalgebra::DMatrix;
 
@@ -7,14 +17,14 @@ use crate::estimation::camera_fit::{CameraFit, fit_camera};
 use crate::estimation::effects::apply::{may_have_effects, with_effects};
 use crate::estimation::error::EstimationError;
 use crate::estimation::joint::BoardObservation;
-use crate::estimation::lens_pole::has_pole;
-use crate::estimation::lens_trial::Trial;
-use crate::estimation::model_averaging::{ComparedModel, between_models};
-use crate::estimation::problem::CameraOptions;
-use crate::estimation::start::Prepared;
-use crate::estimation::starts_from_other_lenses::{
+use crate::estimation::lens_choice::lens_pole::has_pole;
+use crate::estimation::lens_choice::lens_trial::Trial;
+use crate::estimation::lens_choice::model_averaging::{ComparedModel, between_models};
+use crate::estimation::lens_choice::starts_from_other_lenses::{
     closest_of, start_from_each_other, with_common_effects, with_corners_of,
 };
+use crate::estimation::problem::CameraOptions;
+use crate::estimation::start::Prepared;
 use crate::estimation::uncertainty::PixelGrid;
 use crate::geometry::lens::LensModel;
 use crate::geometry::pixel::ImageSize;
