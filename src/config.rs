@@ -82,7 +82,7 @@ mod tests {
     use std::time::Duration;
 
     use super::*;
-    use crate::pipeline::recording_retention::RecordingRetention;
+    use crate::pipeline::recording::recording_retention::RecordingRetention;
     use crate::store::Retention;
 
     fn refusal(text: &str) -> String {

@@ -28,7 +28,7 @@ use crate::document::time;
 use crate::http::tls::{Certificate, Tls};
 use crate::http::{self, Access, Service};
 use crate::pipeline::fleet::Fleet;
-use crate::pipeline::recording_retention::RecordingRetention;
+use crate::pipeline::recording::recording_retention::RecordingRetention;
 use crate::pipeline::{Exchange, FleetOptions};
 use crate::store::{Retention, Store};
 

@@ -7,7 +7,9 @@ use serde::Serialize;
 use crate::cli::{Failure, output};
 use crate::config::{Config, Overrides};
 use crate::document::time;
-use crate::pipeline::recording_retention::{RecordingRetention, prune_folder, recordings_folder};
+use crate::pipeline::recording::recording_retention::{
+    RecordingRetention, prune_folder, recordings_folder,
+};
 use crate::store::{Retention, Store, StoreReader};
 
 /// Check, back up, repair or prune the store of sessions and calibrations.

@@ -9,7 +9,7 @@ use serde::Deserialize;
 use crate::calibration::session_record::SessionRequest;
 use crate::config::source::SourceConfig;
 use crate::http::tokens::AccessTokens;
-use crate::pipeline::recording_retention::RecordingRetention;
+use crate::pipeline::recording::recording_retention::RecordingRetention;
 use crate::store::Retention;
 
 /// A configuration that holds: what it names was there when it was checked.

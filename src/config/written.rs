@@ -18,7 +18,7 @@ use crate::config::written_source::{WrittenSource, check_domain};
 use crate::document::session::StartDocument;
 use crate::http::tls::{Certificate, TlsError};
 use crate::http::tokens::AccessTokens;
-use crate::pipeline::recording_retention::RecordingRetention;
+use crate::pipeline::recording::recording_retention::RecordingRetention;
 use crate::recording::ros2_results::ros_name;
 use crate::store::Retention;
 

@@ -14,8 +14,8 @@ use crate::http::pages::{PageParameters, PageRefusals};
 use crate::http::problem::Problem;
 use crate::http::request::{Address, Asked, BodyRefusals, SMALL_BODY, document};
 use crate::http::shared::{Shared, on_a_blocking_thread};
-use crate::pipeline::recorder::{RecordError, RecordingLimits};
-use crate::pipeline::recording_notes::recording_document;
+use crate::pipeline::recording::recorder::{RecordError, RecordingLimits};
+use crate::pipeline::recording::recording_notes::recording_document;
 
 /// Records a camera to an MCAP file in the store's folder; frames are written as they came.
 #[utoipa::path(post, path = "/v1/cameras/{camera}/recordings", operation_id = "start_recording", tag = "recordings",

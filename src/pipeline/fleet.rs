@@ -24,11 +24,11 @@ use crate::pipeline::preview::PreviewReceiver;
 use crate::pipeline::preview::drawing::{Drawing, EncodedFrame};
 use crate::pipeline::preview::error::PreviewError;
 use crate::pipeline::preview::maps::CalibrationMaps;
-use crate::pipeline::recorder::{
+use crate::pipeline::recording::recorder::{
     RecordError, RecordedCamera, RecordingLimits, RecordingState, RecordingStatus, UNWRITTEN_BYTES,
 };
-use crate::pipeline::recording_notes;
-use crate::pipeline::recording_retention::{RecordingRetention, recordings_folder};
+use crate::pipeline::recording::recording_notes;
+use crate::pipeline::recording::recording_retention::{RecordingRetention, recordings_folder};
 use crate::pipeline::running::{
     CameraPlan, Exchange, FleetOptions, RunningCamera, RunningInstrument, SharedParts, stop,
 };

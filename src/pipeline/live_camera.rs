@@ -21,7 +21,7 @@ use crate::pipeline::live_frame::LiveFrame;
 use crate::pipeline::message::Message;
 use crate::pipeline::metrics::Metrics;
 use crate::pipeline::preview::{Preview, PreviewState};
-use crate::pipeline::recorder::RecorderLink;
+use crate::pipeline::recording::recorder::RecorderLink;
 use crate::pipeline::search::CurrentSearch;
 use crate::pipeline::stop_signal::StopSignal;
 use crate::store::Store;

@@ -65,10 +65,7 @@ mod observations;
 mod pausing;
 pub mod preview;
 mod preview_thread;
-pub mod recorder;
-pub mod recording_notes;
-pub mod recording_retention;
-mod recording_status;
+pub mod recording;
 mod running;
 mod scene_search;
 #[cfg(test)]

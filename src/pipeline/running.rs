@@ -24,7 +24,7 @@ use crate::pipeline::metrics::Metrics;
 use crate::pipeline::preview::Preview;
 use crate::pipeline::preview::maps::CalibrationMaps;
 use crate::pipeline::preview_thread;
-use crate::pipeline::recorder::RecorderLink;
+use crate::pipeline::recording::recorder::RecorderLink;
 use crate::pipeline::search::CurrentSearch;
 use crate::pipeline::session_thread::SessionThread;
 use crate::pipeline::solve_thread;

@@ -11,8 +11,8 @@ use crate::imaging::frame::FrameSet;
 use crate::locks::lock;
 use crate::pipeline::assembly::SharedFactory;
 use crate::pipeline::clock::utc_now_ns;
-use crate::pipeline::recording_notes;
-pub use crate::pipeline::recording_status::{RecordingState, RecordingStatus};
+use crate::pipeline::recording::recording_notes;
+pub use crate::pipeline::recording::recording_status::{RecordingState, RecordingStatus};
 use crate::recording::{McapWriter, RecordingError};
 use crate::store::error::StoreError;
 
@@ -21,7 +21,7 @@ const QUEUED_FRAME_SETS: usize = 64;
 
 /// What a recording may still write after it has been asked to end: the chunk in memory, of about a
 /// megabyte, and the index.
-pub(super) const UNWRITTEN_BYTES: u64 = 2_000_000;
+pub(in crate::pipeline) const UNWRITTEN_BYTES: u64 = 2_000_000;
 
 /// How often a recording's note on disk is updated, in frame time.
 const NOTE_EVERY_NS: i64 = 1_000_000_000;
@@ -88,13 +88,13 @@ pub enum RecordError {
 
 /// The link from a camera's frames to its newest recording since the daemon started.
 #[derive(Debug, Default)]
-pub(super) struct RecorderLink(Mutex<Option<Recorder>>);
+pub(in crate::pipeline) struct RecorderLink(Mutex<Option<Recorder>>);
 
 /// The camera that is recorded.
-pub(super) struct RecordedCamera<'a> {
-    pub(super) name: &'a str,
+pub(in crate::pipeline) struct RecordedCamera<'a> {
+    pub(in crate::pipeline) name: &'a str,
     /// What its device states about its sensors, known from its first frame on.
-    pub(super) factory: &'a SharedFactory,
+    pub(in crate::pipeline) factory: &'a SharedFactory,
 }
 
 #[derive(Debug)]
@@ -108,7 +108,7 @@ struct Recorder {
 impl RecorderLink {
     /// Begins a recording of `camera` in `folder`. `room` fails once no more of the disk is free
     /// than has to stay free.
-    pub(super) fn start(
+    pub(in crate::pipeline) fn start(
         &self,
         camera: &RecordedCamera<'_>,
         folder: &Path,
@@ -158,7 +158,7 @@ impl RecorderLink {
 
     /// Offers a frame set to the recording, if there is one; waits for the disk if no frame may be
     /// dropped.
-    pub(super) fn offer(&self, frame_set: &Arc<FrameSet>, waits: bool) {
+    pub(in crate::pipeline) fn offer(&self, frame_set: &Arc<FrameSet>, waits: bool) {
         let recording =
             |recorder: &Recorder| Some((recorder.frames.clone()?, Arc::clone(&recorder.status)));
         let Some((frames, status)) = lock(&self.0).as_ref().and_then(recording) else { return };
@@ -182,7 +182,7 @@ impl RecorderLink {
 
     /// Ends the recording and waits until its file is complete. Returns its last status, if there
     /// is one.
-    pub(super) fn finish(&self) -> Option<RecordingStatus> {
+    pub(in crate::pipeline) fn finish(&self) -> Option<RecordingStatus> {
         let (thread, status) = {
             let mut link = lock(&self.0);
             let recorder = link.as_mut()?;
@@ -198,7 +198,7 @@ impl RecorderLink {
     }
 
     /// The newest recording.
-    pub(super) fn status(&self) -> Option<RecordingStatus> {
+    pub(in crate::pipeline) fn status(&self) -> Option<RecordingStatus> {
         lock(&self.0).as_ref().map(|recorder| lock(&recorder.status).clone())
     }
 }

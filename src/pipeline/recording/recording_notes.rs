@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use crate::document::reading::{from_json, to_json};
 use crate::document::recording::{RecordingDocument, RecordingStateName};
 use crate::document::time;
-use crate::pipeline::recording_status::{RecordingState, RecordingStatus};
+use crate::pipeline::recording::recording_status::{RecordingState, RecordingStatus};
 
 const ENDED_WITHOUT: &str = "the daemon ended while it was written; what was written can be read, and `plumb record --repair FILE` gives it its index";
 
@@ -34,7 +34,7 @@ pub fn recording_document(status: &RecordingStatus) -> RecordingDocument {
 ///
 /// # Errors
 /// What the system refuses.
-pub(super) fn write(status: &RecordingStatus) -> Result<(), std::io::Error> {
+pub(in crate::pipeline) fn write(status: &RecordingStatus) -> Result<(), std::io::Error> {
     let json = to_json(&recording_document(status)).map_err(std::io::Error::other)?;
     let file = note_of(&status.path);
     let made = file.with_extension("json-new");
@@ -44,7 +44,10 @@ pub(super) fn write(status: &RecordingStatus) -> Result<(), std::io::Error> {
 
 /// The recordings in `folder` that have a note, newest first. One whose note says that it is being
 /// recorded has failed, unless `is_running`.
-pub(super) fn read_all(folder: &Path, is_running: impl Fn(&str) -> bool) -> Vec<RecordingStatus> {
+pub(in crate::pipeline) fn read_all(
+    folder: &Path,
+    is_running: impl Fn(&str) -> bool,
+) -> Vec<RecordingStatus> {
     let Ok(files) = std::fs::read_dir(folder) else { return Vec::new() };
     let paths = files.filter_map(|file| Some(file.ok()?.path()));
     let notes = paths.filter(|path| path.extension().is_some_and(|ends| ends == "json"));
@@ -58,7 +61,7 @@ pub(super) fn read_all(folder: &Path, is_running: impl Fn(&str) -> bool) -> Vec<
 ///
 /// # Errors
 /// What the system refuses; a file that is not there is no error.
-pub(super) fn delete(status: &RecordingStatus) -> Result<(), std::io::Error> {
+pub(in crate::pipeline) fn delete(status: &RecordingStatus) -> Result<(), std::io::Error> {
     for file in [status.path.clone(), note_of(&status.path)] {
         match std::fs::remove_file(file) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(error),

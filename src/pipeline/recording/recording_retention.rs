@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::pipeline::recording_notes;
-use crate::pipeline::recording_status::{RecordingState, RecordingStatus};
+use crate::pipeline::recording::recording_notes;
+use crate::pipeline::recording::recording_status::{RecordingState, RecordingStatus};
 
 /// How much is kept of the recordings that have ended; no limit unless given.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -21,7 +21,7 @@ const DAY_NS: i64 = 86_400 * 1_000_000_000;
 impl RecordingRetention {
     /// Those of `recordings` that are not kept, oldest first. One that is still being recorded is
     /// kept, and counts.
-    pub(super) fn not_kept(
+    pub(in crate::pipeline) fn not_kept(
         &self,
         recordings: &[RecordingStatus],
         now_ns: i64,
