@@ -7,8 +7,8 @@ use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
-use crate::imaging::distortion_lookup::{DistortionLookup, seen};
-use crate::imaging::nearest_canvas::SquareRow;
+use crate::imaging::registration::distortion_lookup::{DistortionLookup, seen};
+use crate::imaging::registration::nearest_canvas::SquareRow;
 
 /// The color camera, as points of the depth camera's images come to it.
 #[derive(Debug, Clone)]

@@ -1,5 +1,10 @@
 //! Depth corrected, and depth and color brought into each other's images.
 
+mod color_view;
+mod depth_conversion;
+mod distortion_lookup;
+mod nearest_canvas;
+
 use std::marker::PhantomData;
 
 use image::{Rgb, RgbImage};
@@ -9,11 +14,11 @@ use crate::geometry::depth_camera::DepthCamera;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
-use crate::imaging::color_view::ColorView;
-use crate::imaging::depth_conversion::{ConversionRow, DepthConversion};
 use crate::imaging::depth_image::DepthImage;
-use crate::imaging::nearest_canvas::{HeldDepth, NearestCanvas, SquareRow};
 use crate::imaging::point_cloud::CloudPoint;
+use crate::imaging::registration::color_view::ColorView;
+use crate::imaging::registration::depth_conversion::{ConversionRow, DepthConversion};
+use crate::imaging::registration::nearest_canvas::{HeldDepth, NearestCanvas, SquareRow};
 
 /// Metric depth as 16-bit readings.
 #[derive(Debug, Clone, PartialEq)]
