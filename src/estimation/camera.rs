@@ -157,7 +157,8 @@ fn solve_twice(
 enum Minima {
     /// The one that iterations from the start reach.
     Nearest,
-    /// Where the model may have two, the closer fit ([`crate::estimation::lens_choice::other_minimum`]).
+    /// Where the model may have two, the closer fit
+    /// ([`crate::estimation::lens_choice::other_minimum`]).
     BothSides,
 }
 

@@ -29,7 +29,8 @@ pub(crate) struct CameraFit {
     /// that it would cause, times the square root of its probability.
     pub(crate) shutter_step: Option<DVector<f64>>,
     /// Where the lens model was chosen: the covariance of all parameters of the lens from the other
-    /// models, weighted by their probabilities ([`crate::estimation::lens_choice::model_averaging`]).
+    /// models, weighted by their probabilities
+    /// ([`crate::estimation::lens_choice::model_averaging`]).
     pub(crate) between_models: Option<DMatrix<f64>>,
 }
 
