@@ -10,6 +10,7 @@ use crate::estimation::scene::bundle::{
 use crate::estimation::scene::lens_prior::LensPrior;
 use crate::estimation::scene::problem::SceneProblem;
 use crate::estimation::scene::reconstruction::Reconstruction;
+use crate::estimation::two_view::focal::focals_to_try;
 use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::homography::Homography;
 use crate::geometry::lens::{Lens, LensModel};
@@ -28,9 +29,7 @@ pub struct RotatedPair {
     pub matches: usize,
 }
 
-/// Focal lengths tried, over the longer side.
-const SHORTEST_FOCAL: f64 = 0.3;
-const LONGEST_FOCAL: f64 = 8.0;
+/// Number of focal lengths tried. Chosen, not swept.
 const FOCAL_SAMPLES: usize = 120;
 
 /// The deviation from orthonormality that K⁻¹ H K of a rotation may have, as [`deviation`] measures
@@ -62,7 +61,7 @@ fn deviation(homography: &Homography, matrix: CameraMatrix) -> (f64, Matrix3<f64
 /// `None` where it is too large for rotations.
 pub fn focal_of_rotations(pairs: &[RotatedPair], problem: &SceneProblem) -> Option<(f64, f64)> {
     let size = problem.image_size;
-    let (longer, center) = (f64::from(size.width.max(size.height)), size.center());
+    let center = size.center();
     let weight: usize = pairs.iter().map(|pair| pair.matches).sum();
     let cost = |focal: f64| {
         let matrix = CameraMatrix { fx: focal, fy: focal, cx: center.x, cy: center.y, skew: 0.0 };
@@ -72,11 +71,9 @@ pub fn focal_of_rotations(pairs: &[RotatedPair], problem: &SceneProblem) -> Opti
             .sum();
         sum / weight.max(1) as f64
     };
-    let tried = (0..FOCAL_SAMPLES).map(|k| {
-        let part = k as f64 / (FOCAL_SAMPLES - 1) as f64;
-        longer * SHORTEST_FOCAL * (LONGEST_FOCAL / SHORTEST_FOCAL).powf(part)
-    });
-    let best = tried.map(|focal| (focal, cost(focal))).min_by(|a, b| a.1.total_cmp(&b.1))?;
+    let best = focals_to_try(size, FOCAL_SAMPLES)
+        .map(|focal| (focal, cost(focal)))
+        .min_by(|a, b| a.1.total_cmp(&b.1))?;
     (best.1 < 5.0 * MOST_DEVIATION).then_some(best)
 }
 

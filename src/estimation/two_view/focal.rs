@@ -6,7 +6,8 @@ use crate::estimation::two_view::essential::{essential_from_fundamental, singula
 use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::pixel::ImageSize;
 
-/// Focal lengths tried, over the longer side of the image: 120 to 7 degrees of view.
+/// Focal lengths tried, over the longer side of the image: 120 to 7 degrees of view. Chosen, not
+/// swept.
 const SHORTEST_FOCAL: f64 = 0.3;
 const LONGEST_FOCAL: f64 = 8.0;
 const FOCAL_SAMPLES: usize = 80;
@@ -25,17 +26,27 @@ pub struct FocalVote {
     pub cost: f64,
 }
 
+/// Focal lengths in pixels to try for images of `size`: `count` of them, two at least, ascending,
+/// in equal ratios.
+pub(in crate::estimation) fn focals_to_try(
+    size: ImageSize,
+    count: usize,
+) -> impl Iterator<Item = f64> {
+    let longer = f64::from(size.width.max(size.height));
+    (0..count).map(move |k| {
+        let part = k as f64 / (count - 1) as f64;
+        longer * SHORTEST_FOCAL * (LONGEST_FOCAL / SHORTEST_FOCAL).powf(part)
+    })
+}
+
 /// Every tried focal length, ascending, with its cost. The cost of each pair (F, weight) is a
 /// robust function of how far KᵀFK is from an essential matrix, which is Kruppa's equations in the
 /// form of singular values (HZ section 19.5.1; P. Mendonça and R. Cipolla, *A simple technique for
 /// self-calibration*, 1999). Assumes square pixels and a principal point in the image's center.
 pub fn focal_votes(pairs: &[(Matrix3<f64>, f64)], size: ImageSize) -> Vec<FocalVote> {
-    let longer = f64::from(size.width.max(size.height));
     let center = size.center();
     let weight: f64 = pairs.iter().map(|(_, weight)| weight).sum();
-    let vote = |k: usize| {
-        let part = k as f64 / (FOCAL_SAMPLES - 1) as f64;
-        let focal_px = longer * SHORTEST_FOCAL * (LONGEST_FOCAL / SHORTEST_FOCAL).powf(part);
+    let vote = |focal_px: f64| {
         let matrix =
             CameraMatrix { fx: focal_px, fy: focal_px, cx: center.x, cy: center.y, skew: 0.0 };
         let against = |(f, weight): &(Matrix3<f64>, f64)| {
@@ -45,7 +56,7 @@ pub fn focal_votes(pairs: &[(Matrix3<f64>, f64)], size: ImageSize) -> Vec<FocalV
         let cost = pairs.iter().map(against).sum::<f64>() / weight.max(f64::MIN_POSITIVE);
         FocalVote { focal_px, cost }
     };
-    (0..FOCAL_SAMPLES).map(vote).collect()
+    focals_to_try(size, FOCAL_SAMPLES).map(vote).collect()
 }
 
 /// The local minima of `votes`, best first.
