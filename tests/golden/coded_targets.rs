@@ -258,7 +258,8 @@ fn cover_quarter(image: &GrayImage, [x, y]: [f64; 2], angle: f64, gray: f64) -> 
 
 /// What lies before the board ends beside a corner or a few pixels beyond, so that its edges pass
 /// for those of squares: no corner that could not be refined is off by more than its deviation
-/// allows. A few are refined to such a crossing (`detection/coded/README.md`).
+/// allows. A few are refined to such a crossing (`detection/coded/README.md`): 11 of 7,073 with 400
+/// seeds, so that five of these are within chance.
 #[test]
 fn the_edge_of_an_occluder_is_no_corner() {
     let board = charuco("DICT_4X4_250", 7, false);
@@ -294,7 +295,7 @@ fn the_edge_of_an_occluder_is_no_corner() {
     }
     assert!(answered > 1200, "{answered}");
     assert!(unrefined.is_empty(), "of {answered}: {unrefined:?}");
-    assert!(refined.len() <= 3, "of {answered}: {refined:?}");
+    assert!(refined.len() <= 5, "of {answered}: {refined:?}");
 }
 
 /// The image's columns in `range`.

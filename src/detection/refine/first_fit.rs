@@ -28,14 +28,55 @@ impl StartValues {
     const TYPICAL: Self = Self { blur_px: 1.0, contrast: 1.3, offset: 0.0, gamma_term: 0.0 };
 }
 
+/// Orders `corners` line by line of the grid, as a page is read: along its longer side, where lines
+/// end least often, or along the image's rows where both are equal. Each fit starts from the one
+/// before and ends within a tolerance of its minimum, so the order must not depend on how the grid
+/// is labeled: a 9x6 board is a 6x9 board too.
+fn order_in_image(corners: &[GridCorner], order: &mut Vec<usize>) {
+    let axis = |k: usize| {
+        let sides = |corner: &GridCorner| {
+            let ahead = corner.neighbors[k].map(|p| [p.x - corner.pixel.x, p.y - corner.pixel.y]);
+            let behind = corner.neighbors[k + 2];
+            [ahead, behind.map(|p| [corner.pixel.x - p.x, corner.pixel.y - p.y])]
+        };
+        let steps = corners.iter().flat_map(sides).flatten();
+        steps.fold([0.0; 2], |sum, step| [sum[0] + step[0], sum[1] + step[1]])
+    };
+    let axes = [axis(0), axis(1)];
+    let extent = |of: &dyn Fn(&GridCorner) -> i32| {
+        let (least, most) = corners
+            .iter()
+            .map(of)
+            .fold((i32::MAX, i32::MIN), |(least, most), at| (least.min(at), most.max(at)));
+        i64::from(most) - i64::from(least)
+    };
+    let [cols, rows] = [extent(&|corner| corner.index.col), extent(&|corner| corner.index.row)];
+    let [col, row] = axes.map(|axis| axis[0].abs() / length(axis).max(f64::MIN_POSITIVE));
+    let is_along_cols = cols > rows || (cols == rows && col >= row);
+    let (along, across) = if is_along_cols { (0, 1) } else { (1, 0) };
+    let (forward, down) = (axes[along][0] >= 0.0, axes[across][1] >= 0.0);
+    order.clear();
+    order.extend(0..corners.len());
+    order.sort_unstable_by_key(|slot| {
+        let index = corners[*slot].index;
+        let place = [i64::from(index.col), i64::from(index.row)];
+        let signed = |k: usize, positive: bool| if positive { place[k] } else { -place[k] };
+        (signed(across, down), signed(along, forward))
+    });
+}
+
 impl Refiner {
     /// The first fits.
     pub(super) fn fit_each(&mut self, image: GrayView<'_>, corners: &[GridCorner]) {
         self.fitted.clear();
+        self.fitted.resize(corners.len(), None);
         self.noise.clear();
         self.scatter.clear();
+        let mut order = std::mem::take(&mut self.order);
+        order_in_image(corners, &mut order);
         let (mut start_values, mut clear) = (StartValues::TYPICAL, StartValues::TYPICAL);
-        for corner in corners {
+        for &slot in &order {
+            let corner = &corners[slot];
             let mut fitted = self.fit_from(image, corner, &start_values);
             // A fit to an occluder is a bad start for the corners after it.
             if fitted.is_none() && start_values != clear {
@@ -48,8 +89,9 @@ impl Refiner {
                 }
                 self.noise.take(fitted.fit.residuals.flat, fitted.window.bin);
             }
-            self.fitted.push(fitted);
+            self.fitted[slot] = fitted;
         }
+        self.order = order;
     }
 
     /// The first fit of a corner, if it may be the requested one.
@@ -169,5 +211,64 @@ impl Refiner {
             gamma_term: start_values.gamma_term * amplitude.abs(),
             gradient: [0.0; 2],
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::detection::board_detection::GridIndex;
+    use crate::geometry::pixel::Pixel;
+
+    const COLS: i32 = 4;
+    const ROWS: i32 = 3;
+
+    /// A grid whose lines are rotated by 20 degrees in the image, with its labels rotated by
+    /// `quarters` of a full rotation.
+    fn grid(quarters: u32) -> Vec<GridCorner> {
+        let (sin, cos) = 20f64.to_radians().sin_cos();
+        let pixel = |[x, y]: [i32; 2]| {
+            let [x, y] = [f64::from(x), f64::from(y)].map(|v| 30.0 * v);
+            Pixel::new(cos * x - sin * y, sin * x + cos * y)
+        };
+        let is_on_board = |[x, y]: [i32; 2]| (0..COLS).contains(&x) && (0..ROWS).contains(&y);
+        let rotated = |[x, y]: [i32; 2]| match quarters {
+            0 => [x, y],
+            1 => [y, -x],
+            2 => [-x, -y],
+            _ => [-y, x],
+        };
+        let places = (0..ROWS).flat_map(|y| (0..COLS).map(move |x| [x, y]));
+        let mut corners: Vec<GridCorner> = places
+            .map(|place| {
+                let [col, row] = rotated(place);
+                let mut neighbors = [None; 4];
+                for step in [[1, 0], [0, 1], [-1, 0], [0, -1]] {
+                    let beside = [place[0] + step[0], place[1] + step[1]];
+                    let side = match rotated(step) {
+                        [1, 0] => 0,
+                        [0, 1] => 1,
+                        [-1, 0] => 2,
+                        _ => 3,
+                    };
+                    neighbors[side] = is_on_board(beside).then(|| pixel(beside));
+                }
+                GridCorner { index: GridIndex { col, row }, pixel: pixel(place), neighbors }
+            })
+            .collect();
+        corners.sort_by_key(|corner| (corner.index.row, corner.index.col));
+        corners
+    }
+
+    #[test]
+    fn the_order_is_that_of_the_image_however_the_grid_is_labeled() {
+        let mut order = Vec::new();
+        let expected: Vec<Pixel> = grid(0).iter().map(|corner| corner.pixel).collect();
+        for quarters in 0..4 {
+            let corners = grid(quarters);
+            order_in_image(&corners, &mut order);
+            let pixels: Vec<Pixel> = order.iter().map(|slot| corners[*slot].pixel).collect();
+            assert_eq!(pixels, expected, "{quarters}");
+        }
     }
 }

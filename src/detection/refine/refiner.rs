@@ -45,6 +45,8 @@ pub struct Refiner {
     pub(super) stds: Vec<CornerStd>,
     /// The covariance of each corner in units of the square of its standard deviation: xx, xy, yy.
     pub(super) shapes: Vec<[f64; 3]>,
+    /// The order of the first fits.
+    pub(super) order: Vec<usize>,
     pub(super) fitted: Vec<Option<Fitted>>,
     pub(super) known: Vec<Option<FittedCorner>>,
     /// For each corner, the excess curvature of its edges in its own window.
@@ -186,7 +188,7 @@ impl Refiner {
             self.misfit.take(second.as_ref().map(Fitted::quality));
             // Residuals under light of its own do not represent the board.
             let plain = second.as_ref().filter(|second| !second.lit);
-            if let Some(second) = plain.filter(|_| self.is_compared(corners, corner)) {
+            if let Some(second) = plain {
                 self.note_scatter(refined.len(), second);
             }
             self.edge_curvatures.push(plain.map_or([None; 2], |second| {
@@ -315,11 +317,5 @@ impl Refiner {
             inlier_ratio: fit.residuals.effective / self.samples.count as f64,
             lit: false,
         })
-    }
-
-    /// Whether a corner's edge halves are compared: with many corners, every other one suffices.
-    fn is_compared(&self, corners: &[GridCorner], corner: &GridCorner) -> bool {
-        corners.len() < self.thresholds.enough_corners
-            || (corner.index.col + corner.index.row) % 2 == 0
     }
 }

@@ -88,8 +88,6 @@ thresholds! {
         most_step: f64 = 0.25, "samples", ThresholdOrigin::Swept;
         /// Largest rms residual of an accepted corner.
         most_residual: f64 = 0.6, "amplitudes", ThresholdOrigin::Swept;
-        /// Corners from which on every other one's edge halves are enough for the scatter.
-        enough_corners: usize = 40, "corners", ThresholdOrigin::Swept;
         /// Motion blur is distinguished from round blur above this width.
         least_motion_px: f64 = 1.2, "px", ThresholdOrigin::Swept;
         /// Corners at which kinds of blur are compared.
