@@ -5,12 +5,12 @@ pub use crate::estimation::camera_estimate::{CameraEstimate, ViewEstimate};
 use crate::estimation::camera_estimate::{Part, assemble};
 use crate::estimation::camera_fit::{CameraFit, fit_camera};
 use crate::estimation::clustered_covariance::FitCovariance;
-use crate::estimation::effects::apply::with_effects;
 use crate::estimation::error::EstimationError;
 use crate::estimation::jackknife::with_jackknife;
 use crate::estimation::joint::FreeLens;
 use crate::estimation::lens_choice::lens_misfit::LensMisfit;
 use crate::estimation::lens_choice::other_minimum::closer_of_two_minima;
+use crate::estimation::lens_choice::without_pole::FitWithEffects;
 use crate::estimation::lens_choice::{ChosenLens, choose_lens};
 use crate::estimation::model_check::ModelCheck;
 use crate::estimation::model_error::{noise_floor_px_of, with_noise_floor};
@@ -183,11 +183,11 @@ fn solve_weighted(
                 Minima::Nearest => (plain, None),
                 Minima::BothSides => closer_of_two_minima(plain, &prepared),
             };
-            (with_effects(plain, problem.image_size, options), Vec::new(), other)
+            (FitWithEffects::of(plain, &mut prepared, options).full, Vec::new(), other)
         }
         LensChoice::Auto => {
-            let ChosenLens { full, compared, .. } = choose_lens(&mut prepared, options)?;
-            (full, compared, None)
+            let ChosenLens { fit, compared } = choose_lens(&mut prepared, options)?;
+            (fit.full, compared, None)
         }
     };
     Ok((

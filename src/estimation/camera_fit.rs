@@ -7,6 +7,7 @@ use crate::estimation::error::EstimationError;
 use crate::estimation::joint::linearize::LinearizationPoint;
 use crate::estimation::joint::minimize::{Minimum, Stop};
 use crate::estimation::joint::{BoardObservation, FreeLens, Layout, State};
+use crate::estimation::lens_pole::{has_pole, with_denominator_of, with_smaller_denominators};
 use crate::estimation::problem::CameraOptions;
 use crate::estimation::robust::{Loss, median_scale};
 use crate::estimation::robust_fit::{ROUNDING, RobustFit, is_explained, robust_fit};
@@ -140,8 +141,32 @@ impl CameraFit {
     }
 }
 
-/// Fits one lens model.
+/// Fits one lens model. Where the denominator of a rational lens would have a zero in or near the
+/// image, it is the largest of [`with_smaller_denominators`] that has none; a fit that starts from a
+/// lens with a smaller one keeps it.
 pub(crate) fn fit_camera(
+    prepared: &mut Prepared,
+    model: LensModel,
+    options: &CameraOptions,
+) -> Result<CameraFit, EstimationError> {
+    let start = options.start.as_ref().filter(|start| start.lens.model() == model);
+    let smaller = start.and_then(|start| with_denominator_of(&start.lens, options));
+    let fit = fit_model(prepared, model, smaller.as_ref().unwrap_or(options))?;
+    let size = prepared.image_size;
+    if !has_pole(fit.lens(), size) {
+        return Ok(fit);
+    }
+    for options in with_smaller_denominators(model, options) {
+        match fit_model(prepared, model, &options) {
+            Ok(smaller) if !has_pole(smaller.lens(), size) => return Ok(smaller),
+            _ => options.interrupt.check()?,
+        }
+    }
+    Ok(fit)
+}
+
+/// Fits one lens model with the parameters that `options` leave free.
+fn fit_model(
     prepared: &mut Prepared,
     model: LensModel,
     options: &CameraOptions,

@@ -36,6 +36,7 @@ pub mod interrupt;
 mod jackknife;
 mod joint;
 pub mod lens_choice;
+pub(crate) mod lens_pole;
 pub mod measured_board;
 mod misfit;
 pub mod model_check;

@@ -119,7 +119,7 @@ pub fn calibrate_rig(problem: &RigProblem) -> Result<RigEstimate, EstimationErro
                 let fit = fit_camera(&mut prepared, model, &sensor.options)?;
                 closer_of_two_minima(fit, &prepared)
             }
-            LensChoice::Auto => (choose_lens(&mut prepared, &sensor.options)?.plain, None),
+            LensChoice::Auto => (choose_lens(&mut prepared, &sensor.options)?.fit.plain, None),
         };
         alone.push((prepared, fit));
         other_minima.push(other);

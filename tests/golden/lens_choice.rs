@@ -219,6 +219,35 @@ fn beside_a_bent_board_a_larger_model_predicts_no_worse_than_one_that_it_holds()
     }
 }
 
+/// Views that do not determine all coefficients of numerator and denominator let them cancel but for
+/// a pole; then the denominator is a smaller one.
+#[test]
+fn a_rational_lens_has_no_pole_and_errs_no_more_than_it_says() {
+    let cameras = [SeededCamera::ordinary(), SeededCamera::narrow(), SeededCamera::wide()];
+    let options =
+        CameraOptions { lens: LensChoice::Model(LensModel::Rational), ..CameraOptions::default() };
+    let mut smaller = 0;
+    for (k, camera) in cameras.iter().enumerate() {
+        for seed in 0..6 {
+            let mut rng = SeededCamera::rng(7300 + seed);
+            let problem = camera.problem(&camera.poses(12, &mut rng), &mut rng);
+            let solved = solve_views(&problem, &options).unwrap();
+            let (lens, std) = (solved.estimate.lens, solved.estimate.lens_std());
+            let case = format!("camera {k}, seed {seed}: {lens:?}");
+            let reasons = solved.verdict.reasons.join("; ");
+            assert!(!reasons.contains("cancel"), "{case}: {reasons}");
+            let [.., k5, k6] = lens.distortion.as_rational().unwrap();
+            if (k5, k6) == (0.0, 0.0) {
+                assert!(std.ends_with(&[0.0, 0.0]), "{case}: {std:?}");
+                smaller += 1;
+            }
+            let sigmas = worst_projection_in_stds(&camera.lens, &solved.estimate);
+            assert!(sigmas < 4.0, "{sigmas} sigma: {case}");
+        }
+    }
+    assert!(smaller > 0);
+}
+
 /// A lens that is given whole is what it is, however far its model is from the lens: nothing of it is
 /// made more uncertain.
 #[test]

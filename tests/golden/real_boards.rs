@@ -2,7 +2,6 @@
 
 use std::path::{Path, PathBuf};
 
-use plumb::calibration::result::Grade;
 use plumb::calibration::solve::{SolvedCamera, solve_views};
 use plumb::calibration::view::{FrameFacts, View};
 use plumb::detection::board_detection::{DetectOptions, Detection, NoBoard};
@@ -194,6 +193,34 @@ fn no_lens_is_chosen_for_the_views_that_it_gives_up() {
     assert!(estimate.views.iter().all(|view| view.fault.is_none()));
 }
 
+/// This lens is closest to a rational one, but the views determine one coefficient of its denominator
+/// alone. Without it the result changed by three deviations where single views were left out.
+#[test]
+fn a_denominator_of_one_coefficient_is_chosen_whichever_view_is_left_out() {
+    let Some(paths) = images("kinect1-herrera", 24) else { return };
+    let board = Chessboard::new("8x6".parse().unwrap(), 0.04).unwrap();
+    let image_size = ImageSize::new(1280, 1024);
+    let views = views_of(&paths, board, image_size);
+    let solved_without = |left_out: Option<&str>| {
+        let views = views.iter().zip(&paths);
+        let kept = views.filter(|(_, path)| left_out.is_none_or(|name| !path.ends_with(name)));
+        let views = kept.map(|(view, _)| view.clone()).collect();
+        solve_views(&CameraProblem { image_size, views }, &CameraOptions::default()).unwrap()
+    };
+    let whole = solved_without(None);
+    assert!(!whole.verdict.reasons.iter().any(|reason| reason.contains("does not fit")));
+    let std = whole.estimate.lens_std();
+    for left_out in ["0056-c1.jpg", "0057-c1.jpg", "0058-c1.jpg"] {
+        let lens = solved_without(Some(left_out)).estimate.lens;
+        assert_eq!(lens.model(), LensModel::Rational, "{left_out}");
+        assert_eq!(lens.distortion.as_rational().unwrap()[6..], [0.0; 2], "{left_out}");
+        for (k, std) in std.iter().enumerate().take(4) {
+            let moved = lens.parameters()[k] - whole.estimate.lens.parameters()[k];
+            assert!(moved.abs() < *std, "{left_out}: parameter {k} by {moved}, {std}");
+        }
+    }
+}
+
 /// A photograph in mirror image, as one of another camera would be: motion while it was read explains
 /// some of it, but no other view moves.
 #[test]
@@ -229,8 +256,8 @@ fn named(views: Vec<BoardView>) -> Vec<usize> {
     (0..views.len()).filter(|view| views[*view].fault.is_some()).collect()
 }
 
-/// These views do not determine eight coefficients one by one; what the lens does is the same as by
-/// five.
+/// These views do not determine eight coefficients: those that would only cancel are held at 0, and
+/// what the lens does is the same as by five.
 #[test]
 fn eight_coefficients_see_as_five_do() {
     let Some(views) = sample_views("left") else { return };
@@ -241,22 +268,20 @@ fn eight_coefficients_see_as_five_do() {
             .map(|one| (one.estimate.lens.parameters()[k], one.estimate.lens_std()[k]));
         assert!((few - many).abs() < 2.0 * few_std.hypot(many_std), "{k}: {few} and {many}");
     }
-    assert!(
-        many.verdict.reasons.iter().any(|reason| reason.contains("not determined individually"))
-    );
+    assert_eq!(many.estimate.lens.distortion.as_rational().unwrap()[6..], [0.0; 2]);
 }
 
-/// With all rows read at once those that fit best cancel but for a kink inside the image, and would
-/// be known to a pixel in all of it.
+/// With all rows read at once all six coefficients would cancel but for a pole inside the image.
 #[test]
-fn coefficients_that_cancel_are_no_good_lens() {
+fn coefficients_that_would_cancel_are_held() {
     let Some(views) = sample_views("left") else { return };
     let lens = LensChoice::Model(LensModel::Rational);
     let options = CameraOptions { lens, shutter: Shutter::Global, ..CameraOptions::default() };
     let problem = CameraProblem { image_size: ImageSize::new(640, 480), views };
     let solved = solve_views(&problem, &options).unwrap();
-    assert_eq!(solved.verdict.grade, Grade::Poor);
-    assert!(solved.verdict.reasons[0].contains("cancel"), "{:?}", solved.verdict.reasons);
+    assert_eq!(solved.estimate.lens.distortion.as_rational().unwrap()[6..], [0.0; 2]);
+    let reasons = solved.verdict.reasons.join("; ");
+    assert!(!reasons.contains("cancel"), "{reasons}");
 }
 
 /// Six or seven views hardly show whether rows were read one after another: what that would change

@@ -9,6 +9,7 @@ use crate::calibration::verdict::SPLIT_HALF;
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::consistent_labels::consistent_labels;
 use crate::estimation::error::EstimationError;
+use crate::estimation::lens_pole::with_denominator_of;
 use crate::estimation::measured_board::MeasuredBoard;
 use crate::estimation::problem::LensChoice;
 use crate::estimation::rig::{RigProblem, RigSensor, SensorHalves, SensorPose, calibrate_rig};
@@ -77,11 +78,12 @@ impl Joint {
                 measured_board: board.cloned(),
                 ..match &one.input.given {
                     Some(lens) => CameraOptions::holding(lens, &options.interrupt),
-                    None => CameraOptions {
-                        lens: LensChoice::Model(one.solved.sensor.lens.model()),
-                        start: None,
-                        ..options.clone()
-                    },
+                    None => {
+                        let lens = &one.solved.sensor.lens;
+                        let model = LensChoice::Model(lens.model());
+                        let alone = CameraOptions { lens: model, start: None, ..options.clone() };
+                        with_denominator_of(lens, &alone).unwrap_or(alone)
+                    }
                 }
             },
         };

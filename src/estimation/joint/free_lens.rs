@@ -20,6 +20,12 @@ pub(crate) struct FreeLens {
 pub(crate) struct Given(Vec<(usize, f64)>);
 
 impl Given {
+    /// The parameters of `lens` that `free` does not estimate.
+    pub(crate) fn held(free: &FreeLens, lens: &Lens) -> Self {
+        let parameters = lens.parameters().into_iter().enumerate();
+        Self(parameters.filter(|(index, _)| !free.moves(*index)).collect())
+    }
+
     /// Sets them in a lens.
     pub(crate) fn apply(&self, lens: &mut Lens) -> Option<()> {
         let mut parameters = lens.parameters();

@@ -6,11 +6,11 @@ use crate::estimation::camera_estimate::CameraEstimate;
 use crate::estimation::camera_fit::{CameraFit, fit_camera};
 use crate::estimation::effects::apply::with_effects;
 use crate::estimation::joint::BoardObservation;
-use crate::estimation::lens_choice::lens_pole::has_pole;
 use crate::estimation::lens_choice::lens_score::could_fit_better;
 use crate::estimation::lens_choice::lens_trial::{Trial, may_be_worth_more};
 use crate::estimation::lens_choice::starts_from_other_lenses::closest_of;
 use crate::estimation::lens_choice::{COLUMNS, compared_views};
+use crate::estimation::lens_pole::has_pole;
 use crate::estimation::problem::{CameraOptions, CameraProblem};
 use crate::estimation::start::Prepared;
 use crate::estimation::uncertainty::{

@@ -12,6 +12,7 @@ use nalgebra::DMatrix;
 use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::joint::BoardObservation;
 use crate::estimation::joint::per_observation::linearize_each;
+use crate::estimation::lens_pole::has_smaller_denominator;
 use crate::estimation::normal_probability::normal_probability;
 use crate::estimation::refit::{refit, squares_under};
 use crate::estimation::uncertainty::{
@@ -73,8 +74,10 @@ impl<'a> Trial<'a> {
     /// Whether it is preferable to `smaller`, which is preferred where the two do not differ.
     pub(crate) fn is_worth_more(&self, smaller: &Self) -> bool {
         let nested = self.fit.lens().model().holds(smaller.fit.lens().model());
+        // A smaller denominator is one more candidate of its model, and one more chance to be taken.
+        let once = nested && !has_smaller_denominator(self.fit.lens());
         self.predicts_better_than(smaller)
-            && (nested || self.gain_over(smaller) > LEAST_GAIN_BEYOND_CHANCE)
+            && (once || self.gain_over(smaller) > LEAST_GAIN_BEYOND_CHANCE)
     }
 
     /// Bounds on the probability that it is preferable to `smaller`: that the held-out views and

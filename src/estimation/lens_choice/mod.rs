@@ -3,13 +3,13 @@
 //! (`lens_misfit`), and whether another lens of it fits as closely (`other_minimum`).
 
 pub mod lens_misfit;
-pub(crate) mod lens_pole;
 mod lens_score;
 mod lens_trial;
 pub(crate) mod model_averaging;
 mod nearest_lens;
 pub mod other_minimum;
 mod starts_from_other_lenses;
+pub(crate) mod without_pole;
 
 use nalgebra::DMatrix;
 
@@ -17,12 +17,13 @@ use crate::estimation::camera_fit::{CameraFit, fit_camera};
 use crate::estimation::effects::apply::{may_have_effects, with_effects};
 use crate::estimation::error::EstimationError;
 use crate::estimation::joint::BoardObservation;
-use crate::estimation::lens_choice::lens_pole::has_pole;
 use crate::estimation::lens_choice::lens_trial::Trial;
 use crate::estimation::lens_choice::model_averaging::{ComparedModel, between_models};
 use crate::estimation::lens_choice::starts_from_other_lenses::{
     closest_of, start_from_each_other, with_common_effects, with_corners_of,
 };
+use crate::estimation::lens_choice::without_pole::FitWithEffects;
+use crate::estimation::lens_pole::{has_pole, has_smaller_denominator, with_smaller_denominators};
 use crate::estimation::problem::CameraOptions;
 use crate::estimation::start::Prepared;
 use crate::estimation::uncertainty::PixelGrid;
@@ -53,10 +54,7 @@ const MAX_VIEWS: usize = 100;
 
 /// The fit of the chosen model.
 pub(crate) struct ChosenLens {
-    /// With lens and poses alone.
-    pub(crate) plain: CameraFit,
-    /// With the board's shape and motion, where the views show them.
-    pub(crate) full: CameraFit,
+    pub(crate) fit: FitWithEffects,
     pub(crate) compared: Vec<LensTrial>,
 }
 
@@ -70,22 +68,23 @@ pub(crate) fn choose_lens(
 ) -> Result<ChosenLens, EstimationError> {
     let mut fits = sound_fits(prepared, options)?;
     let size = prepared.image_size;
-    let full_of = |fit: &CameraFit| with_effects(fit.clone(), size, options);
     let plain = Choice::among(&fits, &fits, size);
     let may_have_effects = |fit: &usize| may_have_effects(&fits[*fit], size, options);
     if plain.trials.is_empty() || ![plain.chosen, plain.closest].iter().any(may_have_effects) {
         let chosen = fits.swap_remove(plain.chosen);
-        let full = CameraFit { between_models: plain.between_models, ..full_of(&chosen) };
-        return Ok(ChosenLens { full, plain: chosen, compared: plain.trials });
+        let mut fit = FitWithEffects::of(chosen, prepared, options);
+        fit.full.between_models = plain.between_models;
+        return Ok(ChosenLens { fit, compared: plain.trials });
     }
     let errors = plain.trials.iter().map(|trial| trial.held_out_rms_px);
     let limit_px = MOST_ERROR_RATIO * errors.fold(f64::INFINITY, f64::min);
     let (hopeless, able): (Vec<LensTrial>, Vec<LensTrial>) =
         plain.trials.iter().partition(|trial| trial.held_out_rms_px > limit_px);
     fits.retain(|fit| able.iter().any(|trial| trial.model == fit.lens().model()));
-    let mut with: Vec<CameraFit> = fits.iter().map(full_of).collect();
+    let mut with: Vec<CameraFit> =
+        fits.iter().map(|fit| with_effects(fit.clone(), size, options)).collect();
     start_from_each_other(&fits, &mut with, size, options);
-    let mut common = with_common_effects(&fits, &with, size, options);
+    let mut common = with_common_effects(&fits, &with, size);
     // The test is repeated: with the board's shape in the model, coefficients may cancel that did
     // not before.
     let is_sound: Vec<bool> = with
@@ -102,10 +101,12 @@ pub(crate) fn choose_lens(
     let Choice { chosen, between_models, trials, .. } = Choice::among(&common, &with, size);
     let compared = hopeless.into_iter().chain(trials).collect();
     let full = CameraFit { between_models, ..with.swap_remove(chosen) };
-    Ok(ChosenLens { plain: fits.swap_remove(chosen), full, compared })
+    let plain = fits.swap_remove(chosen);
+    Ok(ChosenLens { fit: FitWithEffects { plain, full }, compared })
 }
 
-/// The fits of all models that have one; only those without a pole in the image, if there are any.
+/// The fits of all models that have one, of a rational lens also with one coefficient in the
+/// denominator; only those without a pole in the image, if there are any.
 fn sound_fits(
     prepared: &mut Prepared,
     options: &CameraOptions,
@@ -114,7 +115,12 @@ fn sound_fits(
     let mut refusal = None;
     for model in LensModel::compared() {
         match fit_camera(prepared, model, options) {
-            Ok(fit) => fits.push(fit),
+            Ok(fit) => {
+                let smaller = with_smaller_denominators(model, options);
+                let smaller = smaller.first().filter(|_| !has_smaller_denominator(fit.lens()));
+                fits.extend(smaller.and_then(|options| fit_camera(prepared, model, options).ok()));
+                fits.push(fit);
+            }
             Err(error) => refusal = Some(error),
         }
     }

@@ -7,8 +7,9 @@
 
 use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::effects::apply::{with_effects_from, with_same_effects};
+use crate::estimation::joint::free_lens::Given;
 use crate::estimation::joint::minimize::Minimum;
-use crate::estimation::joint::{BoardObservation, FreeLens, State};
+use crate::estimation::joint::{BoardObservation, State};
 use crate::estimation::lens_choice::nearest_lens::nearest_lens;
 use crate::estimation::problem::CameraOptions;
 use crate::estimation::robust::Loss;
@@ -83,7 +84,7 @@ fn started_from(
     size: ImageSize,
     options: &CameraOptions,
 ) -> Option<CameraFit> {
-    let start = start_at(fit, from, options)?;
+    let start = start_at(fit, from)?;
     let again = with_effects_from(start, from.1.effects.as_ref(), size, options);
     let is_better = residual_variance(&again) < residual_variance(fit)
         && again.good_views().len() >= fit.good_views().len();
@@ -92,13 +93,10 @@ fn started_from(
 
 /// The plain fit of the model of `fit` at the result of another model, given `plain` and `with`
 /// effects.
-fn start_at(
-    fit: &CameraFit,
-    (plain, with): (&CameraFit, &CameraFit),
-    options: &CameraOptions,
-) -> Option<CameraFit> {
-    let (free, given) = FreeLens::from_options(fit.lens().model(), options).ok()?;
-    let lens = nearest_lens(with.lens(), &free, &given, &with.some_points_in_camera())?;
+fn start_at(fit: &CameraFit, (plain, with): (&CameraFit, &CameraFit)) -> Option<CameraFit> {
+    let free = &fit.layout.sensors[0].lens;
+    let held = Given::held(free, fit.lens());
+    let lens = nearest_lens(with.lens(), free, &held, &with.some_points_in_camera())?;
     let state = State { lenses: vec![lens], ..with.robust.minimum.state.clone() };
     let observations = with_corners_of(plain, with);
     let minimum = Minimum::start(&fit.layout, state, &observations, Loss::Squares)?;
@@ -114,7 +112,6 @@ pub(crate) fn with_common_effects(
     plain: &[CameraFit],
     with: &[CameraFit],
     size: ImageSize,
-    options: &CameraOptions,
 ) -> Vec<CameraFit> {
     let closest = closest_of(with);
     let from = (&plain[closest], &with[closest]);
@@ -122,7 +119,7 @@ pub(crate) fn with_common_effects(
         if k == closest {
             return own.clone();
         }
-        let start = start_at(own, from, options);
+        let start = start_at(own, from);
         let same = start.and_then(|start| match &from.1.effects {
             Some(found) => with_same_effects(&start, found, size),
             None => Some(plain[k].clone()),

@@ -11,6 +11,7 @@ use crate::estimation::joint::linearize::{
 use crate::estimation::joint::minimize::{Stop, walk};
 use crate::estimation::joint::normal::{ChainedPose, NormalEquations, ReducedView, Step};
 use crate::estimation::joint::{BoardObservation, FreeLens, Layout, State, moved};
+use crate::estimation::lens_pole::as_fitted;
 use crate::estimation::rgbd::covariance_with_shape::covariance_with_shape;
 use crate::estimation::rgbd::motion::{BoardMotion, TimeOffset};
 use crate::estimation::rgbd::pose_jitter::{
@@ -157,9 +158,10 @@ impl CornerProblem {
     /// `None` for a given parameter that color's lens does not have.
     fn of(problem: &RgbdProblem, center: Vector3<f64>) -> Option<Self> {
         let of_color = FreeLens::from_options(problem.color.model(), &problem.color_options);
-        let mut lenses = vec![of_color.ok()?.0];
+        let mut lenses = vec![as_fitted(of_color.ok()?.0, &problem.color)];
         if problem.depth_lens == DepthLens::Infrared {
-            lenses.push(free(&problem.depth.lens, usize::MAX));
+            let infrared = &problem.depth.lens;
+            lenses.push(as_fitted(free(infrared, usize::MAX), infrared));
         }
         let mut layout = Layout::new(lenses, None).ended_by(&problem.interrupt);
         let known = problem.time_offset.filter(|_| layout.sensors.len() > 1);
