@@ -63,7 +63,7 @@ pub enum ViewFault {
     },
     /// It fits best with a motion that is incompatible with the other views.
     #[error(
-        "its corners imply {times:.1} times the board motion during readout that the other views predict, and do not fit even with that motion: the image is mirrored, or from another camera"
+        "its corners imply {times:.1} times the board motion during readout that the other views predict, and do not fit even with that motion: the board was bent in this view, or the image is mirrored or from another camera"
     )]
     OddMotion {
         /// Relative to the root mean square that the other views show.
