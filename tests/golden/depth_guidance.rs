@@ -14,10 +14,12 @@ use plumb::calibration::solve::solve_rgbd::solve_rgbd;
 use plumb::calibration::view::FrameFacts;
 use plumb::detection::board_detection::{DetectedCorner, Detection, GridIndex};
 use plumb::estimation::problem::{CameraProblem, Correspondence, LensChoice};
+use plumb::geometry::depth_camera::DepthReading;
 use plumb::geometry::lens::LensModel;
 use plumb::geometry::pixel::Pixel;
 use plumb::geometry::pose::Pose;
 use plumb::imaging::depth_encoding::DepthEncoding;
+use plumb::imaging::depth_image::DepthImage;
 use plumb::simulation::DepthError;
 use rand_chacha::ChaCha8Rng;
 
@@ -33,6 +35,20 @@ fn rig() -> SeededRgbd {
     SeededRgbd { with_infrared: false, error, ..SeededRgbd::new() }.without_distortion()
 }
 
+/// Disparity d that is 1/z = OFFSET + SLOPE · d, in 1/m.
+const OFFSET: f64 = 4.0;
+const SLOPE: f64 = -2e-4;
+/// The disparity that means none.
+const NONE: u16 = u16::MAX;
+
+fn to_disparity(depth: &DepthImage, unit_m: f64) -> DepthImage {
+    let disparity = |reading: &u16| match reading {
+        0 => NONE,
+        reading => ((1.0 / (unit_m * f64::from(*reading)) - OFFSET) / SLOPE).round() as u16,
+    };
+    DepthImage::new(depth.size(), depth.readings().iter().map(disparity).collect()).unwrap()
+}
+
 /// How long this thread has run, in milliseconds.
 fn thread_ms() -> f64 {
     let scheduled = read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
@@ -46,6 +62,8 @@ struct Shown {
     rng: ChaCha8Rng,
     /// Depth is given to the session; otherwise it is only kept for the solve.
     depth_counts: bool,
+    /// What is stated of its readings.
+    encoding: DepthEncoding,
     kept: Vec<RgbdFrameSet>,
     seconds: i64,
     solves: bool,
@@ -70,8 +88,10 @@ impl Shown {
         let record = SessionRecord::begin("01", "front", request, 1_000_000_000);
         let session = Session::begin(record, &[], &AdmissionOptions::default());
         let rng = SeededCamera::rng(seed);
+        let encoding = DepthEncoding::metric(rig.unit_m);
         Self {
             rig,
+            encoding,
             session,
             rng,
             depth_counts,
@@ -88,6 +108,10 @@ impl Shown {
     fn show(&mut self, pose: &Pose, with_depth: bool) -> bool {
         self.seconds += 1;
         let mut capture = self.rig.input(&[*pose], &mut self.rng).frame_sets.remove(0);
+        if self.encoding.invalid == Some(NONE) {
+            capture.depth =
+                capture.depth.as_ref().map(|depth| to_disparity(depth, self.rig.unit_m));
+        }
         if !with_depth {
             capture.depth = None;
             capture.infrared.clear();
@@ -158,6 +182,7 @@ impl Shown {
     fn errors_px(&mut self) -> Vec<f64> {
         let mut input = self.rig.input(&[], &mut self.rng);
         input.frame_sets.clone_from(&self.kept);
+        (input.depth.reading, input.depth.invalid) = (self.encoding.reading, self.encoding.invalid);
         let solved = match solve_rgbd(&input, &SeededRgbd::options()) {
             Ok(solved) => solved.joint,
             Err(error) => {
@@ -217,7 +242,7 @@ impl Shown {
         let infrared = (!capture.infrared.is_empty()).then(|| self.detection(&capture.infrared));
         Some(DepthFrame {
             image: Arc::new(capture.depth.clone()?),
-            encoding: DepthEncoding::metric(self.rig.unit_m),
+            encoding: self.encoding,
             factory: None,
             infrared,
         })
@@ -321,6 +346,24 @@ fn a_session_goes_on_until_color_knows_where_it_sees_what_depth_measures() {
         let left = (&record.estimate.as_ref().map(|it| it.uncertainty_px), &record.guidance);
         assert!(now.solves && now.kept.len() > started, "{left:?}");
         assert!(after_px < 2.0 * GOAL_PX && after_px < error_px, "{after_px} of {error_px}");
+    }
+}
+
+/// Color is shown enough tilted boards to end the session by itself.
+#[test]
+fn disparity_of_unknown_meaning_counts_as_it_does_where_that_is_stated() {
+    for seed in seeds(76) {
+        let known = Some(DepthReading::Disparity { offset: OFFSET, slope: SLOPE });
+        let [stated, found] = [known, None].map(|reading| {
+            let encoding = DepthEncoding { reading, invalid: Some(NONE) };
+            let mut shown = taught_by_few(Shown { encoding, ..Shown::new(seed, true) }, seed);
+            assert!(!shown.solves, "seed {seed}, {reading:?}: it ends with color");
+            let more = shown.follow();
+            assert!(shown.solves, "seed {seed}, {reading:?}: {more} asked for");
+            (more, shown.kept.len(), shown.error_px())
+        });
+        println!("seed {seed}: asked, kept and error in px: {stated:.3?}; found {found:.3?}");
+        assert!(found.2 < 2.0 * GOAL_PX, "{found:?}, {stated:?}");
     }
 }
 

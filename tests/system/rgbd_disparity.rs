@@ -172,13 +172,20 @@ fn a_folder_of_disparity_is_calibrated_as_by_the_command_line_also_after_a_resta
     assert!(reason.contains("sensors.toml") && reason.contains("inavlid"), "{reason}");
     let over_http = calibrated(&after, &session);
     assert_same(&over_http, &by_command_line(frames.path(), &over_http));
-    let truth = truth();
-    let (found, truly) = (pose(&over_http), pose(&truth));
-    // Along the optical axis it is hardly distinguishable from the disparity model.
+    // Depth was taken 12 ms after color, of boards that move, and without infrared nothing shows
+    // that: the pose is uncertain by a centimeter, also from all frames by the command line. Along
+    // the optical axis it is hardly distinguishable from the disparity model.
+    let (found, truly) = (pose(&over_http), pose(&truth()));
     for axis in 0..2 {
-        let of = |pose: &Value| pose["translation"][axis].as_f64().unwrap();
-        assert!((of(&found) - of(&truly)).abs() < 2e-3, "axis {axis}: {found}, truly {truly}");
+        let of = |pose: &Value, what: &str| pose[what][axis].as_f64().unwrap();
+        let off_m = (of(&found, "translation") - of(&truly, "translation")).abs();
+        let most_m = (3.0 * of(&found, "translation_std")).min(0.03);
+        assert!(off_m < most_m, "axis {axis}: {found}, truly {truly}");
     }
+    // Views that add nothing about color are kept for their depth.
+    let with_color_alone = 18;
+    let kept = over_http["sensors"]["color"]["views"].as_array().unwrap().len();
+    assert!(kept > with_color_alone, "{kept}");
 }
 
 fn pose(document: &Value) -> Value {
@@ -194,5 +201,14 @@ fn a_real_kinect_over_http_is_as_by_the_command_line() {
     let served = served(folder.path(), frames.path());
     let session = collected(&served, &target(8, 6));
     let over_http = calibrated(&served, &session);
+    // Views that add nothing about color are kept for their depth, of which nobody states the
+    // meaning.
+    let views = over_http["sensors"]["color"]["views"].as_array().unwrap();
+    let has_depth = |view: &&Value| {
+        let name = view["name"].as_str().unwrap();
+        frames.path().join(format!("depth/{name}.pgm")).exists()
+    };
+    let with_depth = views.iter().filter(has_depth).count();
+    assert!(with_depth >= 12, "{with_depth} of {}", views.len());
     assert_same(&over_http, &by_command_line(frames.path(), &over_http));
 }

@@ -20,7 +20,7 @@ use crate::calibration::information::depth_information::{DepthInformation, Depth
 use crate::calibration::information::expected_depth::DepthTileNoise;
 use crate::calibration::information::infrared_corners::InfraredNormal;
 use crate::calibration::information::view_information::ViewNormal;
-use crate::calibration::solve::rgbd_guess::{board_outline, same_view};
+use crate::calibration::solve::rgbd_guess::{board_outline, initial_depth, same_view};
 use crate::detection::board_plane::{DepthInput, NoPlane, PlaneOptions, find_board_plane};
 use crate::estimation::problem::BoardView;
 use crate::estimation::rgbd::plane_information::{PlacedDepth, PlaneNormal, TileSample};
@@ -114,11 +114,8 @@ impl DepthCameraInformation {
     /// No information yet; `color` is the camera beside it.
     pub fn new(target: &Target, color: &CameraInformation, stated: &DeviceDepth) -> Self {
         let size = stated.size;
-        let guess = || PosedDepthLens {
-            lens: same_view(color.lens(), color.size(), size),
-            depth_from_color: Pose::identity(),
-        };
-        let PosedDepthLens { lens, depth_from_color } = stated.factory.unwrap_or_else(guess);
+        let PosedDepthLens { lens, depth_from_color } =
+            initial_depth((color.lens(), color.size()), size, stated.factory);
         let guess = PlacedDepth::new(lens, size, depth_from_color, stated.reading, [0.3, 3.0]);
         Self {
             target: *target,

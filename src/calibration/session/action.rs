@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::calibration::admission::Rejection;
 use crate::calibration::scene::correspondence::SceneImage;
-use crate::calibration::session::depth_part::DepthFrame;
+use crate::calibration::session::depth_frame::DepthFrame;
 use crate::calibration::view::FrameFacts;
 use crate::detection::board_detection::Detection;
 

@@ -6,7 +6,6 @@ mod information_gain;
 use crate::calibration::admission::{AdmissionOptions, PreviousBoard, Rejection, admit};
 use crate::calibration::coverage::Coverage;
 use crate::calibration::guidance::obstacle;
-use crate::calibration::information::board_in_depth::BoardInDepth;
 use crate::calibration::information::camera_information::{CameraInformation, ViewInformation};
 use crate::calibration::information::next_view::SuggestedView;
 use crate::calibration::information::projection_goal::GoalFigure;
@@ -15,7 +14,8 @@ use crate::calibration::running_estimate::{Continuation, EstimateSoFar};
 use crate::calibration::session::action::CameraFrame;
 use crate::calibration::session::advice::{Advice, Now};
 use crate::calibration::session::approach::Approach;
-use crate::calibration::session::depth_part::{DepthFrame, DepthPart};
+use crate::calibration::session::depth_frame::DepthFrame;
+use crate::calibration::session::depth_part::{DepthPart, SeenDepth};
 use crate::calibration::session::last_rejections::{FrequentRejection, LastRejections};
 use crate::calibration::session::not_enough::LEAST_VIEWS;
 use crate::calibration::session::progress::{FrameTime, Obstacle};
@@ -35,7 +35,7 @@ const LEAST_VIEWS_FOR_GOAL: u32 = 8;
 const ARRIVED_EFFORT: f64 = 0.2;
 
 /// The information in a view: about color (`None` where no pose explains it), and about depth.
-type AddedInformation = (Option<ViewInformation>, BoardInDepth);
+type AddedInformation = (Option<ViewInformation>, SeenDepth);
 
 /// One camera's part of a session with a board.
 #[derive(Debug, Clone)]
@@ -257,7 +257,7 @@ impl BoardPart {
         self.image_size().is_none_or(|expected| expected == frame.image_size)
             && admit(detection, frame, self.before.as_ref(), &self.placements, &self.options)
                 .and_then(|placement| {
-                    let added = (self.view_information(frame, detection), BoardInDepth::default());
+                    let added = (self.view_information(frame, detection), SeenDepth::default());
                     self.room_for(frame, &placement, &added)
                 })
                 .is_ok()
@@ -419,11 +419,11 @@ impl BoardPart {
     }
 
     /// Adds the information in a view, and suggests the next view.
-    fn add_view(&mut self, number: u32, added: Option<ViewInformation>, depth: BoardInDepth) {
+    fn add_view(&mut self, number: u32, added: Option<ViewInformation>, depth: SeenDepth) {
         let Some(information) = &mut self.information else { return };
         if let Some(added) = added {
             information.add(added);
-            self.depth.add(number, depth, information);
+            self.depth.add(&self.target, (number, depth), information);
         }
         self.suggest();
     }

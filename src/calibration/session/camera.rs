@@ -9,7 +9,7 @@ use crate::calibration::scene::key_frames::KeyFrame;
 use crate::calibration::scene::so_far::SceneSoFar;
 use crate::calibration::session::action::CameraFrame;
 use crate::calibration::session::board_part::BoardPart;
-use crate::calibration::session::depth_part::DepthFrame;
+use crate::calibration::session::depth_frame::DepthFrame;
 use crate::calibration::session::not_enough::{LEAST_VIEWS, NotEnough};
 use crate::calibration::session::scene_part::ScenePart;
 use crate::calibration::session_record::{Finish, SessionMember, SessionRequest};

@@ -1,10 +1,9 @@
 //! What one camera of an instrument has collected about its depth in a session, and the view to
 //! request for it.
 //!
-//! Depth counts from the first view that has it. Boards seen by the infrared camera that measures
+//! Depth counts from the first view that has it, or from the view that determines the meaning of its
+//! numbers (`raw_depth`), where nobody states that. Boards seen by the infrared camera that measures
 //! depth count with it, as in the solve.
-
-use std::sync::Arc;
 
 use crate::calibration::information::board_in_depth::BoardInDepth;
 use crate::calibration::information::camera_information::{CameraInformation, ViewInformation};
@@ -13,33 +12,30 @@ use crate::calibration::information::depth_camera_information::{
 };
 use crate::calibration::information::next_depth_view::{NextDepthView, suggest_depth_view};
 use crate::calibration::information::next_view::SuggestedView;
+use crate::calibration::session::depth_frame::DepthFrame;
+use crate::calibration::session::raw_depth::{RawDepthFrame, RawDepthViews, raw_depth};
 use crate::calibration::view::{FrameFacts, View, target_as_seen};
 use crate::detection::board_detection::Detection;
-use crate::geometry::depth_camera::PosedDepthLens;
+use crate::geometry::depth_camera::DepthReading;
 use crate::geometry::target::Target;
-use crate::imaging::depth_encoding::DepthEncoding;
-use crate::imaging::depth_image::DepthImage;
-
-/// The depth image that was taken with a color image.
-#[derive(Debug, Clone, PartialEq)]
-pub struct DepthFrame {
-    /// The readings.
-    pub image: Arc<DepthImage>,
-    /// The meaning of its numbers.
-    pub encoding: DepthEncoding,
-    /// The lens that the device states, and the pose of the color camera in it.
-    pub factory: Option<PosedDepthLens>,
-    /// The board in the image of the infrared camera that measures depth.
-    pub infrared: Option<Detection>,
-}
 
 /// A depth camera's part of a session.
 #[derive(Debug, Clone, Default)]
 pub(super) struct DepthPart {
     information: Option<DepthCameraInformation>,
+    /// The views whose depth has no stated meaning.
+    raw: RawDepthViews,
     next: Option<NextDepthView>,
     /// The suggested view is the most informative one for depth.
     is_requested: bool,
+}
+
+/// What the depth camera shows of one view.
+#[derive(Debug, Clone, Default)]
+pub(super) struct SeenDepth {
+    board: BoardInDepth,
+    /// The frame, if its depth has no stated meaning.
+    raw: Option<RawDepthFrame>,
 }
 
 /// Depth that no model fits after this many views is left to the verdict: a session that waited for
@@ -58,66 +54,89 @@ impl DepthPart {
         facts: &FrameFacts,
         frame: Option<&DepthFrame>,
         added: Option<&ViewInformation>,
-    ) -> BoardInDepth {
+    ) -> SeenDepth {
         let (Some(color), Some(frame), Some(added)) = (color, frame, added) else {
-            return BoardInDepth::default();
+            return SeenDepth::default();
         };
-        // The meaning of the disparity is unknown here; the solve estimates it.
-        let Some(reading) = frame.encoding.reading else { return BoardInDepth::default() };
-        let information = self.information.get_or_insert_with(|| {
-            let size = frame.image.size();
-            let invalid = frame.encoding.invalid;
-            let stated = DeviceDepth { size, reading, invalid, factory: frame.factory };
-            DepthCameraInformation::new(target, color, &stated)
-        });
-        let surface = information.measure(&frame.image, color, added);
-        // Corners whose numbering may start at either end of the board do not determine its pose.
-        let is_placed = |seen: &&Detection| seen.position_known && !seen.orientation_ambiguous;
-        let infrared = frame.infrared.as_ref().filter(is_placed).and_then(|seen| {
-            let size = frame.image.size();
-            let facts = FrameFacts { image_size: size, ..facts.clone() };
-            let view = View { number: added.number, frame: facts, detection: seen.clone() };
-            let target = target_as_seen(target, [&view]);
-            information.see(view.to_board_view(&target), seen.blur_px, color, added)
-        });
-        BoardInDepth { surface, infrared }
+        if let Some(reading) = frame.encoding.reading {
+            let nothing = || no_information(target, color, frame, reading);
+            self.information.get_or_insert_with(nothing);
+        }
+        let seen = (facts, frame, added);
+        let board = self.information.as_mut().map(|it| board_in_depth(it, target, color, seen));
+        SeenDepth { board: board.unwrap_or_default(), raw: raw_depth(target, color, seen) }
     }
 
     /// Whether a view is worth keeping for its information about depth: at least `worth` times half
-    /// of what the views with depth added on average. `false` while depth does not count.
+    /// of what the views with depth added on average, or any while the meaning of depth is open.
+    /// `false` while depth does not count.
     pub(super) fn is_informative(
         &self,
         added: &ViewInformation,
-        seen: &BoardInDepth,
+        seen: &SeenDepth,
         worth: f64,
     ) -> bool {
-        let Some(information) = self.counted() else { return false };
+        if seen.raw.is_some() && self.raw.is_open() {
+            return true;
+        }
+        let (Some(information), seen) = (self.counted(), &seen.board) else { return false };
         (seen.surface.is_some() || seen.infrared.is_some())
             && information.gain(added, seen) >= 0.5 * worth / information.measured().max(1) as f64
     }
 
     /// How much this view lowers the depth uncertainty, and how much the suggested view would;
     /// `None` unless the suggested view is for depth.
-    pub(super) fn drop(&self, added: &ViewInformation, seen: &BoardInDepth) -> Option<[f64; 2]> {
+    pub(super) fn drop(&self, added: &ViewInformation, seen: &SeenDepth) -> Option<[f64; 2]> {
         let next = self.next.as_ref().filter(|_| self.is_requested)?;
-        Some([self.counted()?.drop(added, seen), next.drop])
+        Some([self.counted()?.drop(added, &seen.board), next.drop])
     }
 
     /// Adds a kept view, number `number` of `color`.
-    pub(super) fn add(&mut self, number: u32, seen: BoardInDepth, color: &CameraInformation) {
+    pub(super) fn add(
+        &mut self,
+        target: &Target,
+        (number, seen): (u32, SeenDepth),
+        color: &CameraInformation,
+    ) {
         if let Some(information) = &mut self.information {
-            information.add(number, seen, color);
+            information.add(number, seen.board, color);
         }
+        let counts = self.raw.is_open() || self.counted().is_some();
+        let Some(raw) = seen.raw.filter(|_| counts) else { return };
+        self.raw.add(number, raw);
+        if let Some(reading) = self.raw.meaning(target, color) {
+            self.information = self.read_as(reading, target, color);
+        }
+    }
+
+    /// The information in the views whose depth means `reading`.
+    fn read_as(
+        &self,
+        reading: DepthReading,
+        target: &Target,
+        color: &CameraInformation,
+    ) -> Option<DepthCameraInformation> {
+        let mut views = self.raw.with_color(color).peekable();
+        let (_, (_, first)) = views.peek()?;
+        let mut information = no_information(target, color, first, reading);
+        for (added, (facts, frame)) in views {
+            let seen = board_in_depth(&mut information, target, color, (facts, frame, added));
+            information.add(added.number, seen, color);
+        }
+        Some(information)
     }
 
     /// The color view with this number was removed.
     pub(super) fn remove(&mut self, number: u32) {
+        self.raw.remove(number);
         self.information.iter_mut().for_each(|information| information.remove(number));
     }
 
     /// Whether depth is known to `goal_px`, as far as it counts.
     pub(super) fn reaches(&self, goal_px: f64) -> bool {
-        self.counted().is_none_or(|depth| depth.uncertainty_px().is_some_and(|px| px <= goal_px))
+        let is_known =
+            |depth: &DepthCameraInformation| depth.uncertainty_px().is_some_and(|px| px <= goal_px);
+        !self.raw.is_awaited() && self.counted().is_none_or(is_known)
     }
 
     /// The view to ask for: color's `own`, unless depth is known less well than color and another
@@ -169,4 +188,36 @@ impl DepthPart {
         let counts = (1..MOST_DEPTH_VIEWS).contains(&information.measured());
         (counts && is_fitted).then_some(information)
     }
+}
+
+/// No information yet on the depth camera that took `frame`.
+fn no_information(
+    target: &Target,
+    color: &CameraInformation,
+    frame: &DepthFrame,
+    reading: DepthReading,
+) -> DepthCameraInformation {
+    let (size, invalid) = (frame.image.size(), frame.encoding.invalid);
+    let stated = DeviceDepth { size, reading, invalid, factory: frame.factory };
+    DepthCameraInformation::new(target, color, &stated)
+}
+
+/// What depth and infrared show of the board that color sees as `added`.
+fn board_in_depth(
+    information: &mut DepthCameraInformation,
+    target: &Target,
+    color: &CameraInformation,
+    (facts, frame, added): (&FrameFacts, &DepthFrame, &ViewInformation),
+) -> BoardInDepth {
+    let surface = information.measure(&frame.image, color, added);
+    // Corners whose numbering may start at either end of the board do not determine its pose.
+    let is_placed = |seen: &&Detection| seen.position_known && !seen.orientation_ambiguous;
+    let infrared = frame.infrared.as_ref().filter(is_placed).and_then(|seen| {
+        let size = frame.image.size();
+        let facts = FrameFacts { image_size: size, ..facts.clone() };
+        let view = View { number: added.number, frame: facts, detection: seen.clone() };
+        let target = target_as_seen(target, [&view]);
+        information.see(view.to_board_view(&target), seen.blur_px, color, added)
+    });
+    BoardInDepth { surface, infrared }
 }

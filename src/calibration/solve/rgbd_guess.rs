@@ -8,6 +8,9 @@ use std::mem::discriminant;
 use nalgebra::{DMatrix, Point3};
 
 use crate::calibration::solve::SolvedCamera;
+use crate::calibration::solve::disparity_meaning::{
+    KnownReading, disparity_through, reading_in_middle,
+};
 use crate::calibration::solve::rgbd_error::RgbdError;
 use crate::calibration::solve::rgbd_input::{RgbdFrameSet, RgbdInput, poses, views};
 use crate::detection::board_plane::{DepthInput, NoPlane, PlaneOptions, find_board_plane};
@@ -23,7 +26,7 @@ use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::depth_camera::{DepthCamera, DepthReading, DepthTile, PosedDepthLens};
 use crate::geometry::depth_correction::CorrectedQuantity;
 use crate::geometry::lens::Lens;
-use crate::geometry::median::{median, median_pose};
+use crate::geometry::median::median_pose;
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
@@ -102,10 +105,7 @@ impl InitialGuess {
                     depth_from_color: median_pose(&depth_from_color).unwrap_or(Pose::identity()),
                 }
             }
-            None => factory.unwrap_or_else(|| PosedDepthLens {
-                lens: same_view(&color.estimate.lens, input.color_size, size),
-                depth_from_color: Pose::identity(),
-            }),
+            None => initial_depth((&color.estimate.lens, input.color_size), size, factory),
         };
         let color_from_board = color_poses
             .iter()
@@ -186,32 +186,16 @@ impl InitialGuess {
             .filter(|offset| offset.std_s < MOST_OFFSET_STD_S);
     }
 
-    /// The meaning of disparity, from the values in the board's middle and its distance by color:
-    /// the line through these pairs, by the median of the slopes between them (H. Theil, 1950).
+    /// The meaning of disparity, from all frame sets with a board.
     fn disparity(&self, input: &RgbdInput) -> Option<DepthReading> {
-        let middle = Point3::from(extent_of(&input.board).center_in_board);
-        let pair = |(frame_set, pose): (&RgbdFrameSet, &Option<Pose>)| {
-            let point = self.depth_from_color * ((*pose)? * middle);
-            let pixel = self.lens.pixel_from_point(&point)?;
-            let image = frame_set.depth.as_ref().filter(|d| d.only_reading().is_none())?;
-            let (x, y) = (pixel.x.round(), pixel.y.round());
-            let inside = image
-                .size()
-                .contains(Pixel::new(x, y))
-                .then(|| image.row(y as usize)[x as usize])?;
-            (Some(inside) != input.depth.invalid).then(|| (f64::from(inside), 1.0 / point.z))
+        let depth = PosedDepthLens { lens: self.lens, depth_from_color: self.depth_from_color };
+        let known = |(frame_set, pose): (&RgbdFrameSet, &Option<Pose>)| {
+            let image = (frame_set.depth.as_ref()?, input.depth.invalid);
+            reading_in_middle(image, &depth, &input.board, pose.as_ref()?)
         };
-        let pairs: Vec<(f64, f64)> =
-            input.frame_sets.iter().zip(&self.color_from_board).filter_map(pair).collect();
-        let slopes = pairs.iter().enumerate().flat_map(|(k, a)| {
-            pairs[k + 1..]
-                .iter()
-                .filter(|b| (a.0 - b.0).abs() > 1.0)
-                .map(|b| (a.1 - b.1) / (a.0 - b.0))
-        });
-        let slope = median(slopes.collect())?;
-        let offset = median(pairs.iter().map(|(raw, inverse)| inverse - slope * raw).collect())?;
-        Some(DepthReading::Disparity { offset, slope })
+        let known: Vec<KnownReading> =
+            input.frame_sets.iter().zip(&self.color_from_board).filter_map(known).collect();
+        disparity_through(&known)
     }
 
     /// Measures the board's surface in every depth image, up to `margin` squares beyond its
@@ -385,6 +369,19 @@ fn moving_pose(lens: &Lens, frame_set: &RgbdFrameSet, corners: &[Correspondence]
     }
     let view = BoardView { name: frame_set.name.clone(), correspondences: corners.to_vec() };
     board_poses(lens, &view).ok()?.first().map(|pose| pose.camera_from_board)
+}
+
+/// A depth camera with images of `size` before any estimate: as the device states it, or at the
+/// place of color, with the field of view of its lens.
+pub(in crate::calibration) fn initial_depth(
+    (color, color_size): (&Lens, ImageSize),
+    size: ImageSize,
+    stated: Option<PosedDepthLens>,
+) -> PosedDepthLens {
+    stated.unwrap_or_else(|| PosedDepthLens {
+        lens: same_view(color, color_size, size),
+        depth_from_color: Pose::identity(),
+    })
 }
 
 /// A pinhole lens with about the same field of view as another camera's.

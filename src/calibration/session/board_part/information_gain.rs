@@ -5,7 +5,7 @@ use crate::calibration::admission::Rejection;
 use crate::calibration::information::camera_information::ViewInformation;
 use crate::calibration::placement::Placement;
 use crate::calibration::session::board_part::{AddedInformation, BoardPart};
-use crate::calibration::session::depth_part::DepthFrame;
+use crate::calibration::session::depth_frame::DepthFrame;
 use crate::calibration::view::{FrameFacts, View, target_as_seen};
 use crate::detection::board_detection::Detection;
 use crate::geometry::pose::Pose;
