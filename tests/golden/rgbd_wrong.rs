@@ -36,6 +36,14 @@ fn mirrored(input: RgbdInput) -> RgbdInput {
     with_depth(input, |_, depth| mirrored(depth))
 }
 
+fn flipped(input: RgbdInput) -> RgbdInput {
+    let flipped = |depth: &DepthImage| {
+        let rows = depth.readings().chunks(depth.size().width as usize);
+        rows.rev().flatten().copied().collect()
+    };
+    with_depth(input, |_, depth| flipped(depth))
+}
+
 /// The error, or the reasons of the verdict.
 fn reasons(input: &RgbdInput) -> Vec<String> {
     match solve_rgbd(input, &SeededRgbd::options()) {
@@ -79,7 +87,17 @@ fn each_wrong_thing_is_one_clear_line() {
         expect(
             &format!("{name}: mirrored depth"),
             &mirrored(right.clone()),
-            "check that depth and color",
+            "depth images are mirrored (left and right exchanged)",
+        );
+        expect(
+            &format!("{name}: depth upside down"),
+            &flipped(right.clone()),
+            "depth images are flipped (top and bottom exchanged)",
+        );
+        expect(
+            &format!("{name}: depth rotated by 180 degrees"),
+            &mirrored(flipped(right.clone())),
+            "depth images are rotated by 180 degrees",
         );
         expect(
             &format!("{name}: a depth frame of zeros each"),

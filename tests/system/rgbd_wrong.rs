@@ -133,7 +133,7 @@ fn each_wrong_thing_is_one_clear_line() {
         (
             "depth mirrored",
             Change::Depth(mirrored),
-            "check that depth and color are of the same device",
+            "the depth images are mirrored (left and right exchanged) relative to color",
         ),
         (
             "depth of other moments",

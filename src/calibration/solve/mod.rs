@@ -5,6 +5,7 @@
 mod auxiliary_image_sensor;
 mod cameras;
 mod composed_pose;
+pub mod depth_orientation;
 pub(in crate::calibration) mod disparity_meaning;
 pub mod factory_check;
 pub mod instrument;

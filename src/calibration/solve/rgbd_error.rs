@@ -1,5 +1,6 @@
 //! Why color and depth could not be calibrated, and what to do.
 
+use crate::calibration::solve::depth_orientation::DepthOrientation;
 use crate::estimation::error::EstimationError;
 
 /// Why color and depth could not be calibrated.
@@ -73,6 +74,12 @@ pub enum RgbdError {
         /// Its reciprocal.
         factor_inverse: f64,
     },
+    /// Depth fits the board only with this orientation of its images undone.
+    #[error(
+        "the depth images are {} relative to color: with that undone, they fit the board; disable it in the device or its driver, or undo it in the images",
+        .0.name()
+    )]
+    Orientation(DepthOrientation),
     /// Depth is not of the board.
     #[error(
         "depth does not fit the board: {percent:.0} % of its surface in depth is off the board plane found in color: check that depth and color are of the same device, not swapped, not mirrored, and taken together"

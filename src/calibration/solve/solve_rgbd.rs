@@ -1,6 +1,7 @@
 //! The solve of a camera with color and depth: from corners and depth images to lenses, the
 //! sensors' pose, the depth camera's correction, and how far to trust them.
 
+use crate::calibration::solve::depth_orientation::DepthOrientation;
 use crate::calibration::solve::factory_check::FactoryCheck;
 use crate::calibration::solve::rgbd_check::check_joint;
 pub use crate::calibration::solve::rgbd_error::RgbdError;
@@ -17,6 +18,7 @@ use crate::estimation::rgbd::halves::{RgbdDifference, RgbdHalves};
 use crate::estimation::rgbd::{RgbdEstimate, RgbdFit, RgbdProblem, RgbdView, calibrate_rgbd};
 use crate::estimation::rig::FrameSetView;
 use crate::geometry::depth_camera::PosedDepthLens;
+use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
 use crate::imaging::depth_image::DepthImage;
 
@@ -110,10 +112,11 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
     let placed = measured_board.map(|board| placed_on(&labeled, board));
     let input = placed.as_ref().unwrap_or(&labeled);
     let infrared = with_infrared.then(|| infrared_alone(input)).transpose()?;
-    let mut guess = InitialGuess::of(input, depth_size, &color, options, infrared.as_ref());
-    let measured = measured_where_depth_sees_it(input, &mut guess, infrared.is_some(), options)?;
-    let joint = calibrate_rgbd(&measured.problem).map_err(of_joint)?;
-    check_joint(&joint, measured.problem.depth_lens)?;
+    let solved = joint_of(input, depth_size, (&color, infrared.as_ref()), options);
+    let (measured, joint) = solved.map_err(|error| {
+        of_orientation(error, input, depth_size, (&color, infrared.as_ref()), options)
+    })?;
+    options.interrupt.check().map_err(RgbdError::Joint)?;
     let JointProblem { problem, frame_set_of_view, without_depth } = measured;
     let halves = RgbdHalves::of(&problem, &joint);
     options.interrupt.check().map_err(RgbdError::Joint)?;
@@ -139,6 +142,43 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
         stated_infrared,
         without_depth,
     })
+}
+
+/// Solves jointly what was calibrated sensor by sensor: `color`, and infrared if it saw the board.
+fn joint_of(
+    input: &RgbdInput,
+    depth_size: ImageSize,
+    (color, infrared): (&SolvedCamera, Option<&SolvedCamera>),
+    options: &CameraOptions,
+) -> Result<(JointProblem, RgbdEstimate), RgbdError> {
+    let mut guess = InitialGuess::of(input, depth_size, color, options, infrared);
+    let measured = measured_where_depth_sees_it(input, &mut guess, infrared.is_some(), options)?;
+    let joint = calibrate_rgbd(&measured.problem).map_err(of_joint)?;
+    check_joint(&joint, measured.problem.depth_lens)?;
+    Ok((measured, joint))
+}
+
+/// `error`; or the orientation of the depth images, if they fit with that undone.
+fn of_orientation(
+    error: RgbdError,
+    input: &RgbdInput,
+    depth_size: ImageSize,
+    solved: (&SolvedCamera, Option<&SolvedCamera>),
+    options: &CameraOptions,
+) -> RgbdError {
+    let noise = |orientation: DepthOrientation| {
+        options.interrupt.check().ok()?;
+        let mut upright = input.clone();
+        for frame_set in &mut upright.frame_sets {
+            frame_set.depth = frame_set.depth.as_ref().and_then(|it| orientation.undone(it));
+        }
+        let (_, joint) = joint_of(&upright, depth_size, solved, options).ok()?;
+        Some((joint.tile_noise, orientation))
+    };
+    // Planes that fill the image may fit in several orientations, but closely in the right one only.
+    let fitting = DepthOrientation::ALL.into_iter().filter_map(noise);
+    let closest = fitting.min_by(|(a, _), (b, _)| a.total_cmp(b));
+    closest.map_or(error, |(_, orientation)| RgbdError::Orientation(orientation))
 }
 
 /// Measures the board's surface in every depth image. The outline follows from the lens and pose of
