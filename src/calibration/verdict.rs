@@ -1,11 +1,13 @@
 //! How far to trust a calibration, in words that a person can act on.
 
 use crate::calibration::coverage::Coverage;
+use crate::calibration::given_misfit::contradiction;
 use crate::calibration::known_image::KnownImage;
 use crate::calibration::result::{Finding, Grade, Verdict};
 use crate::calibration::rounded::{in_differing_digits, value_with_std};
 use crate::calibration::tag_spacing::TagSpacing;
 use crate::estimation::camera::CameraEstimate;
+use crate::estimation::given_misfit::GivenCheck;
 use crate::estimation::lens_choice::lens_misfit::LensMisfit;
 use crate::estimation::lens_choice::other_minimum::OtherMinimum;
 use crate::estimation::lens_pole::has_pole;
@@ -51,6 +53,7 @@ pub(crate) fn judge(
 ) -> Verdict {
     let mut findings: Vec<Finding> = Vec::new();
     // Causes come before their effects: of findings with one grade, the first is to be fixed first.
+    findings.extend(contradicted(check));
     findings.extend(misfit(estimate, check));
     findings.extend(bent_board(check));
     findings.extend(too_simple_lens(estimate, check));
@@ -138,14 +141,24 @@ fn misfit(estimate: &CameraEstimate, check: &ModelCheck) -> Vec<Finding> {
             .collect();
     let Some(grade) = signs.iter().map(|sign| sign.grade).min() else { return Vec::new() };
     let signs: Vec<String> = signs.into_iter().map(|sign| sign.reason).collect();
-    vec![
-        Finding { grade, reason: cause(estimate, check) },
-        Finding { grade, reason: format!("the model does not fit: {}", signs.join("; ")) },
-    ]
+    let cause = cause(estimate, check).map(|reason| Finding { grade, reason });
+    let signs = format!("the model does not fit: {}", signs.join("; "));
+    cause.into_iter().chain([Finding { grade, reason: signs }]).collect()
 }
 
-fn cause(estimate: &CameraEstimate, check: &ModelCheck) -> String {
-    let is_given = estimate.lens_std().first() == Some(&0.0);
+/// A finding if the views contradict given lens parameters.
+fn contradicted(check: &ModelCheck) -> Option<Finding> {
+    let GivenCheck::Contradicted(misfit) = &check.given else { return None };
+    Some(Finding { grade: Grade::Poor, reason: contradiction(misfit, "views") })
+}
+
+/// `None` where another finding has it.
+fn cause(estimate: &CameraEstimate, check: &ModelCheck) -> Option<String> {
+    if matches!(check.given, GivenCheck::Contradicted(_)) {
+        return None;
+    }
+    let is_doubtful = check.given == GivenCheck::Unknown;
+    let is_estimated = estimate.lens_std().iter().any(|std| *std > 0.0);
     let shutter = check.misfit.rolling_shutter.map(|part| {
         let percent = part * 100.0;
         format!(
@@ -160,25 +173,23 @@ fn cause(estimate: &CameraEstimate, check: &ModelCheck) -> String {
     });
     let known: Vec<String> = shutter.into_iter().chain(uneven).collect();
     if !known.is_empty() {
-        let or = if is_given {
+        let or = if is_doubtful {
             "; or the given lens parameters are those of another camera"
         } else {
             ""
         };
-        return known.join("; ") + or;
+        return Some(known.join("; ") + or);
     }
     let others = "check that the board is flat and held still, and that focus and zoom are fixed";
-    if is_given {
-        return format!(
-            "the cause is unknown: the given lens parameters may be those of another camera; solve without them to see whether the views fit; otherwise {others}"
-        );
-    }
-    if estimate.compared.is_empty() {
-        return format!(
-            "the cause is unknown: let the lens model be chosen (auto); otherwise {others}"
-        );
-    }
-    format!("the cause is unknown: {others}")
+    Some(if is_doubtful {
+        format!(
+            "the cause is unknown: the given lens parameters may be those of another camera (the views do not determine them); otherwise {others}"
+        )
+    } else if estimate.compared.is_empty() && is_estimated {
+        format!("the cause is unknown: let the lens model be chosen (auto); otherwise {others}")
+    } else {
+        format!("the cause is unknown: {others}")
+    })
 }
 
 fn halves(estimate: &CameraEstimate, check: &ModelCheck) -> Option<Finding> {

@@ -7,6 +7,7 @@ use std::time::Instant;
 use crate::calibration::result::SceneScale;
 use crate::calibration::scene::{SceneCalibration, SceneDepth, SceneOptions, calibrate_scene};
 use crate::cli::calibration_output::named;
+use crate::cli::estimated::{check_given, parameter};
 use crate::cli::files::{check_no_image, write_file};
 use crate::cli::in_order::all_cores;
 use crate::cli::lens_name::SceneLensName;
@@ -16,7 +17,6 @@ use crate::cli::search_args::check_sources;
 use crate::cli::sources::FrameSets;
 use crate::cli::{Failure, output, progress};
 use crate::document::calibration::CalibrationDocument;
-use crate::estimation::given_range::check_given_range;
 use crate::estimation::problem::GivenParameter;
 use crate::export::colmap_scene::{ColmapScene, colmap_scene};
 use crate::geometry::lens::Lens;
@@ -30,7 +30,7 @@ pub struct Args {
     #[arg(long, default_value = "auto")]
     lens: SceneLensName,
     /// Hold a lens parameter fixed, as in fx=600. May be repeated.
-    #[arg(long, value_name = "NAME=VALUE", value_parser = crate::cli::estimated::parameter)]
+    #[arg(long, value_name = "NAME=VALUE", value_parser = parameter)]
     given: Vec<GivenParameter>,
     /// Number of threads [default: all cores]; the result does not depend on it.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
@@ -79,7 +79,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let frame_sets = || FrameSets::new(args.sources.iter().cloned());
     let SceneImages { images, depth, nominal_focal } = scene_images(frame_sets, threads)?;
     if let Some(image) = images.first() {
-        check_given_range(&args.given, image.size).map_err(Failure::usage)?;
+        check_given(&args.given, image.size)?;
     }
     let options = SceneOptions {
         lens: args.lens.into(),

@@ -10,7 +10,7 @@ use crate::calibration::{self, InstrumentObservations, SolveOptions};
 use crate::cli::calibrate_rgbd;
 use crate::cli::calibration_output::{OutputArgs, named};
 use crate::cli::choose::{ChooseArgs, ViewsAndOthers};
-use crate::cli::estimated::EstimatedArgs;
+use crate::cli::estimated::{EstimatedArgs, check_given};
 use crate::cli::gather::gather;
 use crate::cli::lens_name::LensName;
 use crate::cli::rig::{self, NamedSource, named_source};
@@ -19,7 +19,6 @@ use crate::cli::sources::is_recording;
 use crate::cli::target_args::TargetArgs;
 use crate::cli::{Failure, progress};
 use crate::estimation::camera::CameraOptions;
-use crate::estimation::given_range::check_given_range;
 use crate::geometry::target::Target;
 use crate::imaging::frame::SensorKind;
 
@@ -89,7 +88,7 @@ fn solve(
     images: ViewsAndOthers,
     options: &CameraOptions,
 ) -> Result<(), Failure> {
-    check_given_range(&options.given, images.0.image_size).map_err(Failure::usage)?;
+    check_given(&options.given, images.0.image_size)?;
     let picked = args.choose.pick(images, options, args.output.is_json())?;
     let Some(((problem, others), options)) = picked else { return Ok(()) };
     let spinner = progress::spinner("solving");

@@ -14,6 +14,7 @@ use crate::calibration::{
     CameraFrameSets, InstrumentObservations, ObservedFrameSet, SolveOptions, solve,
 };
 use crate::cli::calibration_output::named;
+use crate::cli::estimated::check_given;
 use crate::cli::search_args::SearchArgs;
 use crate::cli::sources::{FrameSets, SourcedFrames, TopicArgs, is_recording};
 use crate::cli::{Failure, progress};
@@ -21,7 +22,6 @@ use crate::detection::board_detection::{DetectOptions, Detection, NoBoard};
 use crate::detection::finder::TargetFinder;
 use crate::document::sensors_file::SensorsFile;
 use crate::estimation::camera::CameraOptions;
-use crate::estimation::given_range::check_given_range;
 use crate::estimation::problem::{Correspondence, LensChoice};
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::target::Target;
@@ -71,7 +71,7 @@ pub fn calibrate(
     spinner.finish_and_clear();
     let gathered = gathered.finish(depth)?;
     if let Some(size) = gathered.image_size(SensorKind::Color) {
-        check_given_range(&options.given, size).map_err(Failure::usage)?;
+        check_given(&options.given, size)?;
     }
     let observations = InstrumentObservations::of_camera(Some(target), gathered);
     let options = SolveOptions { camera: options.clone(), ..SolveOptions::default() };

@@ -6,9 +6,11 @@ use std::path::{Path, PathBuf};
 use crate::cli::Failure;
 use crate::cli::files::read_calibration;
 use crate::estimation::camera::CameraOptions;
+use crate::estimation::given_range::{check_given_range, check_given_value};
 use crate::estimation::measured_board::MeasuredBoard;
 use crate::estimation::problem::{BoardShape, GivenParameter, Shutter};
 use crate::geometry::lens::{Lens, LensModel};
+use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::SensorKind;
 
 /// What is known of the board's shape.
@@ -188,5 +190,15 @@ pub(crate) fn parameter(text: &str) -> Result<GivenParameter, String> {
     if !LensModel::ALL.iter().any(is_known) {
         return Err(format!("no lens has a parameter `{name}`; write NAME=VALUE, as fx=600"));
     }
-    Ok(GivenParameter { name: name.to_owned(), value })
+    let given = GivenParameter { name: name.to_owned(), value };
+    check_given_value(&given).map_err(|error| error.to_string())?;
+    Ok(given)
+}
+
+/// Checks that lenses for images of `size` may have the given values.
+///
+/// # Errors
+/// A usage error that names the option.
+pub(crate) fn check_given(given: &[GivenParameter], size: ImageSize) -> Result<(), Failure> {
+    check_given_range(given, size).map_err(|error| Failure::usage(format!("--given: {error}")))
 }

@@ -6,11 +6,10 @@ use std::time::Instant;
 use crate::calibration::{InstrumentObservations, SolveOptions, solve};
 use crate::cli::Failure;
 use crate::cli::calibration_output::{OutputArgs, named};
-use crate::cli::estimated::EstimatedArgs;
+use crate::cli::estimated::{EstimatedArgs, check_given};
 use crate::cli::files::read_document;
 use crate::cli::lens_name::LensName;
 use crate::document::problem::{Method, ProblemDocument};
-use crate::estimation::given_range::check_given_range;
 use crate::estimation::problem::{CameraProblem, LensChoice};
 
 /// Calibrate a camera from given correspondences of points and pixels.
@@ -54,7 +53,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     options.lens = args.lens.map_or(options.lens, LensChoice::from);
     args.estimated.check_no_lens()?;
     args.estimated.add_to(&mut options)?;
-    check_given_range(&options.given, problem.image_size).map_err(Failure::usage)?;
+    check_given(&options.given, problem.image_size)?;
     let started = Instant::now();
     let method = document.method.into();
     let options = SolveOptions { camera: options, method, ..SolveOptions::default() };

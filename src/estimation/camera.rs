@@ -6,6 +6,9 @@ use crate::estimation::camera_estimate::{Part, assemble};
 use crate::estimation::camera_fit::{CameraFit, fit_camera};
 use crate::estimation::clustered_covariance::FitCovariance;
 use crate::estimation::error::EstimationError;
+use crate::estimation::given_misfit::{
+    FreeEstimate, GivenCheck, GivenDifference, GivenMisfit, comparable,
+};
 use crate::estimation::jackknife::with_jackknife;
 use crate::estimation::joint::FreeLens;
 use crate::estimation::lens_choice::lens_misfit::LensMisfit;
@@ -17,7 +20,7 @@ use crate::estimation::model_error::{noise_floor_px_of, with_noise_floor};
 pub use crate::estimation::problem::{CameraOptions, CameraStart};
 use crate::estimation::problem::{CameraProblem, GivenParameter, LensChoice, check};
 use crate::estimation::start::Prepared;
-use crate::geometry::lens::LensModel;
+use crate::geometry::lens::{Lens, LensModel};
 
 /// Checks that a lens of `model` has the `given` parameters, by name, and that their values are
 /// possible.
@@ -61,7 +64,8 @@ pub fn calibrate_and_check(
 /// As [`calibrate_and_check`]. Where the scatter between views exceeds that of their corners, the
 /// covariance of the lens comes from repeated solves, each without one view or group of views.
 /// Where a larger lens model than the requested or chosen one predicts views better, the difference
-/// from it counts as an error of the lens.
+/// from it counts as an error of the lens. Given lens parameters are compared with a solve without
+/// them.
 ///
 /// # Errors
 /// As [`calibrate_camera`].
@@ -69,7 +73,8 @@ pub fn calibrate_with_jackknife(
     problem: &CameraProblem,
     options: &CameraOptions,
 ) -> Result<(CameraEstimate, ModelCheck), EstimationError> {
-    let (estimate, fit) = solve(problem, options)?;
+    let (estimate, fit) =
+        solve(problem, options).map_err(|error| of_given(error, problem, options))?;
     let weighted = with_noise_floor(problem, estimate.noise_floor_px);
     let mut estimate = with_jackknife(&weighted, options, estimate, &fit);
     let mut check = ModelCheck::of(&fit, &estimate, options);
@@ -79,8 +84,58 @@ pub fn calibrate_with_jackknife(
     if let Some(misfit) = &check.lens_misfit {
         estimate.lens_covariance *= misfit.widening * misfit.widening;
     }
+    check.given = check_of_given(problem, options, Some(&estimate.lens));
     options.interrupt.check()?;
     Ok((estimate, check))
+}
+
+/// Compares the given parameters with a solve without them; `held` is the lens with them, if there
+/// is one.
+fn check_of_given(
+    problem: &CameraProblem,
+    options: &CameraOptions,
+    held: Option<&Lens>,
+) -> GivenCheck {
+    let Some((given, lens)) = comparable(&options.given, options.lens, held) else {
+        return GivenCheck::NothingGiven;
+    };
+    let free = CameraOptions { given: Vec::new(), lens, start: None, ..options.clone() };
+    let Ok((estimate, check)) = calibrate_with_jackknife(problem, &free) else {
+        return GivenCheck::Unknown;
+    };
+    let free = FreeEstimate {
+        lens: &estimate.lens,
+        covariance: &estimate.lens_covariance,
+        widening: check.split_half_ratio.map_or(1.0, |ratio| ratio.max(1.0)),
+        image_size: problem.image_size,
+    };
+    GivenMisfit::of(&given, held, free).map_or(GivenCheck::Fits, GivenCheck::Contradicted)
+}
+
+/// `error`; or that the views contradict given parameters, if they fit without them.
+fn of_given(
+    error: EstimationError,
+    problem: &CameraProblem,
+    options: &CameraOptions,
+) -> EstimationError {
+    let is_of_views = matches!(
+        error,
+        EstimationError::NoFit
+            | EstimationError::NoCameraMatrix
+            | EstimationError::TooFewViews { .. }
+            | EstimationError::Undetermined { .. }
+            | EstimationError::OpenCoefficient { .. }
+    );
+    if !is_of_views {
+        return error;
+    }
+    match check_of_given(problem, options, None) {
+        GivenCheck::Contradicted(misfit) => misfit.parameters.first().map_or(error, |worst| {
+            let GivenDifference { name, given, estimated, std } = *worst;
+            EstimationError::Contradicted { name, given, estimated, std }
+        }),
+        _ => error,
+    }
 }
 
 fn solve(

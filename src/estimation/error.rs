@@ -101,6 +101,20 @@ pub enum EstimationError {
         "no plausible camera fits these views: check the order of the corners, the board's size in corners, and the image size"
     )]
     NoFit,
+    /// The views fit without the given parameters only.
+    #[error(
+        "the views contradict the given {name} {given}: without it, they determine {estimated:.4} ± {std:.4}; give the value of this camera at this image size, focus and zoom, or none"
+    )]
+    Contradicted {
+        /// The parameter that is farthest off.
+        name: &'static str,
+        /// What was given.
+        given: f64,
+        /// Its estimate.
+        estimated: f64,
+        /// The estimate's standard deviation.
+        std: f64,
+    },
     /// A parameter that these views do not determine.
     #[error("these views do not determine {parameter} ({value:.3e} ± {std:.3e}): {remedy}")]
     Undetermined {

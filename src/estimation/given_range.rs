@@ -17,20 +17,34 @@ const LEAST_CIRCLE: f64 = 0.25;
 /// hundredth of a sensor's area may be all that is read.
 const MOST_SIZES: f64 = 10.0;
 
-/// Checks that a lens for images of `size` may have the `given` values. Values that no lens has at
-/// all are left to [`crate::estimation::camera::check_given`].
+/// Checks that a lens may have this value.
 ///
 /// # Errors
-/// [`EstimationError::GivenRange`].
+/// [`EstimationError::GivenValue`]: a value that is not finite, or a focal length that is not
+/// positive.
+pub fn check_given_value(given: &GivenParameter) -> Result<(), EstimationError> {
+    let GivenParameter { name, value } = given;
+    let is_focal = ["fx", "fy"].contains(&name.as_str());
+    if value.is_finite() && (*value > 0.0 || !is_focal) {
+        return Ok(());
+    }
+    Err(EstimationError::GivenValue { name: name.clone(), value: *value })
+}
+
+/// Checks that a lens for images of `size` may have the `given` values.
+///
+/// # Errors
+/// As [`check_given_value`], and [`EstimationError::GivenRange`].
 pub fn check_given_range(given: &[GivenParameter], size: ImageSize) -> Result<(), EstimationError> {
+    given.iter().try_for_each(check_given_value)?;
     for GivenParameter { name, value } in given {
         let (range, why) = match name.as_str() {
-            "fx" | "fy" if *value > 0.0 => (focal_range(size), FOCAL),
+            "fx" | "fy" => (focal_range(size), FOCAL),
             "cx" => (principal_range(size.width), PRINCIPAL),
             "cy" => (principal_range(size.height), PRINCIPAL),
             _ => continue,
         };
-        if value.is_finite() && !(range[0]..=range[1]).contains(value) {
+        if !(range[0]..=range[1]).contains(value) {
             let name = name.clone();
             return Err(EstimationError::GivenRange { name, value: *value, size, range, why });
         }
@@ -73,6 +87,10 @@ mod tests {
         for (name, value) in [("fx", 1e9), ("fy", 2.0), ("cx", 9999.0), ("cy", -4801.0)] {
             let line = check(name, value).unwrap_err().to_string();
             assert!(line.contains(name) && line.contains("640x480"), "{line}");
+        }
+        for (name, value) in [("fx", 0.0), ("fy", -5.0), ("k1", f64::NAN)] {
+            let line = check(name, value).unwrap_err().to_string();
+            assert!(line.starts_with(&format!("{name} cannot be {value}")), "{line}");
         }
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! | question | where |
 //! | --- | --- |
-//! | what is given | [`problem`], [`given_range`] |
+//! | what is given, and whether it fits | [`problem`], [`given_range`], [`given_misfit`] |
 //! | one camera, lens and poses, from views of a board | [`camera`] |
 //! | several sensors fixed to each other | [`rig`], [`consistent_labels`] |
 //! | a camera from one view of points in space | [`dlt`] |
@@ -31,6 +31,7 @@ pub mod depth_error;
 pub mod dlt;
 mod effects;
 pub mod error;
+pub mod given_misfit;
 pub mod given_range;
 pub mod interrupt;
 mod jackknife;

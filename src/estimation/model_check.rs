@@ -3,13 +3,14 @@
 
 use crate::estimation::camera_estimate::CameraEstimate;
 use crate::estimation::camera_fit::CameraFit;
+use crate::estimation::given_misfit::GivenCheck;
 use crate::estimation::lens_choice::lens_misfit::LensMisfit;
 use crate::estimation::misfit::{Misfit, board_bow_m};
 use crate::estimation::problem::{BoardShape, CameraOptions};
 use crate::estimation::split_halves::{LensWithCovariance, MIN_FRAME_SETS, SplitHalves};
 
 /// The result of comparing two halves of the views.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct ModelCheck {
     /// The difference of the halves' projections, after the best compensating rotation, over its
     /// predicted standard deviation at that pixel: the root mean square over the image, about 1
@@ -33,6 +34,8 @@ pub struct ModelCheck {
     /// A larger lens model that predicts views better, where the requested or chosen one is too
     /// simple.
     pub lens_misfit: Option<LensMisfit>,
+    /// Whether the views fit the lens parameters that were given.
+    pub given: GivenCheck,
 }
 
 /// A split-half ratio above which causes are tested: where the model is right, one set in a hundred

@@ -136,7 +136,6 @@ fn what_determines_no_lens_is_refused_by_name() {
     let image = render(&camera([0.0; 3], [0.0; 2], 0.0));
     let same = written(folder.path(), &vec![image.clone(); 8]);
     assert_refused(&autocalibrate(&[], &same[..2]), "2 images are too few");
-    assert_refused(&autocalibrate(&["--given", "fx=-3"], &same), "fx cannot be -3");
     assert_refused(&autocalibrate(&[], &same), "the camera stood still");
     let other = folder.path().join("other.png");
     image::imageops::rotate90(&image).save(&other).unwrap();
@@ -153,9 +152,37 @@ fn what_determines_no_lens_is_refused_by_name() {
 
 #[test]
 fn arguments_that_mean_nothing_are_usage_errors() {
-    for wrong in [["--lens", "nonsense"], ["--given", "fx=abc"], ["--given", "foo=0.1"]] {
+    let lens = [["--lens", "nonsense"]];
+    let given = ["fx=abc", "foo=0.1", "fx=-3", "fy=0", "fx=nan"].map(|given| ["--given", given]);
+    for wrong in lens.into_iter().chain(given) {
         let finished = autocalibrate(&wrong, &[PathBuf::from("a.png")]);
         assert_eq!(finished.code, Some(2), "{finished:?}");
-        assert!(finished.stderr.contains(wrong[1]), "{finished:?}");
+        assert!(wrong.iter().all(|word| finished.stderr.contains(word)), "{finished:?}");
     }
+    let folder = tempfile::tempdir().unwrap();
+    let image = render(&camera([0.0; 3], [0.0; 2], 0.0));
+    let finished = autocalibrate(&["--given", "fx=1e9"], &written(folder.path(), &vec![image; 3]));
+    assert_eq!(finished.code, Some(2), "{finished:?}");
+    assert!(finished.stderr.contains("--given: fx = 1000000000 px"), "{finished:?}");
+}
+
+#[test]
+fn a_given_focal_length_that_the_images_contradict_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let images: Vec<GrayImage> = moving().iter().map(render).collect();
+    let images = written(folder.path(), &images);
+    let answer = |focal_px: f64| {
+        let given = format!("fx={focal_px}");
+        let finished = autocalibrate(&["--lens", "radial", "--json", "--given", &given], &images);
+        assert_eq!(finished.code, Some(0), "{finished:?}");
+        serde_json::from_str::<Value>(&finished.stdout).unwrap()["verdict"].take()
+    };
+    for off in [0.85, 1.2] {
+        let verdict = answer(off * FOCAL_PX);
+        assert_eq!(verdict["grade"], "poor", "{verdict}");
+        let first = verdict["reasons"][0].as_str().unwrap();
+        assert!(first.starts_with("the images contradict the given fx"), "{verdict}");
+    }
+    let verdict = answer(FOCAL_PX);
+    assert!(!verdict.to_string().contains("contradict"), "{verdict}");
 }

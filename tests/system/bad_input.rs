@@ -152,7 +152,11 @@ const TABLE: &[(&str, i32, &[&str])] = &[
     ("solve @few.json", 1, &["few.json", "view"]),
     ("solve @marked.json", 1, &["marked.json", "view"]),
     ("solve @telescope.json", 1, &["telescope.json: given: fx", "0.01 degrees", "640x480"]),
-    ("solve --given cx=9999 @few.json", 2, &["cx = 9999 px is impossible", "-6400 to 7040 px"]),
+    (
+        "solve --given cx=9999 @few.json",
+        2,
+        &["--given: cx = 9999 px is impossible", "-6400 to 7040 px"],
+    ),
     ("solve @fields.json", 1, &["fields.json", "views[0].image", "missing"]),
     ("solve @size.json", 1, &["size.json", "image_size"]),
     ("solve @syntax.json", 1, &["syntax.json", "not JSON at line 1"]),

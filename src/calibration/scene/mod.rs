@@ -20,6 +20,7 @@ mod localization;
 mod one_camera;
 pub mod refusal;
 pub mod result;
+mod scene_frame;
 #[cfg(test)]
 mod scene_tests;
 pub mod so_far;

@@ -1,6 +1,8 @@
 //! Why images without a target do not determine a lens.
 
+use crate::calibration::given_misfit::contradiction;
 use crate::estimation::error::EstimationError;
+use crate::estimation::given_misfit::GivenMisfit;
 
 /// Why there is no calibration: one line each, with what to do.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -149,6 +151,9 @@ pub enum SceneRefusal {
         /// The lens asked for.
         model: crate::geometry::lens::LensModel,
     },
+    /// The images fit without the given parameters only.
+    #[error("{}", contradiction(.0, "images"))]
+    Contradicted(GivenMisfit),
     /// Nobody waits for it any more.
     #[error("the calibration was canceled; start it again")]
     Interrupted,

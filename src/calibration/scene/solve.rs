@@ -1,6 +1,6 @@
 //! From images to a calibration or a refusal.
 
-use nalgebra::{DMatrix, Point3};
+use nalgebra::DMatrix;
 
 use crate::calibration::result::{Checks, ProjectionUncertainty};
 use crate::calibration::scene::conditions::SceneConditions;
@@ -11,10 +11,12 @@ use crate::calibration::scene::lens_fit::{fit_lens, with_free_distortion};
 use crate::calibration::scene::localization::localize;
 use crate::calibration::scene::one_camera::{check_one_camera, states_cropping};
 use crate::calibration::scene::refusal::SceneRefusal;
-use crate::calibration::scene::result::{SceneCalibration, ScenePoint, SceneSensor, SceneView};
+use crate::calibration::scene::result::{SceneCalibration, SceneSensor, SceneView};
+use crate::calibration::scene::scene_frame::{SceneFrame, coverage, scene_points, view};
 use crate::calibration::scene::verdict::{self, Evidence};
 use crate::estimation::camera::check_given;
 use crate::estimation::error::EstimationError;
+use crate::estimation::given_misfit::{FreeEstimate, GivenMisfit, comparable};
 use crate::estimation::interrupt::Interrupt;
 use crate::estimation::problem::{GivenParameter, LensChoice};
 use crate::estimation::scene::bundle::{BundleStop, CameraMotion};
@@ -26,7 +28,6 @@ use crate::estimation::uncertainty::{
 };
 use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pixel::ImageSize;
-use crate::geometry::pose::Pose;
 use crate::imaging::nominal_focal::NominalFocal;
 
 /// Options of a calibration without a target.
@@ -109,10 +110,44 @@ pub fn calibrate_scene(
     let goes_on = || options.interrupt.check().map_err(|_| SceneRefusal::Interrupted);
     let found = correspond(images, size, options.threads, &options.interrupt);
     goes_on()?;
-    let start = reconstruction(&found, options).map_err(|refusal| explained(refusal, &found));
+    let fitted = match fitted(images, &found, options) {
+        Ok(fitted) => fitted,
+        Err(refusal) => {
+            let misfit = given_misfit(images, &found, options, None);
+            goes_on()?;
+            return Err(misfit.map_or(refusal, SceneRefusal::Contradicted));
+        }
+    };
+    let misfit = given_misfit(images, &found, options, Some(&fitted.fit.fit.state.lens));
+    goes_on()?;
+    let mut calibration = finished(images, &fitted, &found, misfit);
+    let sensor = &calibration.sensor;
+    let focal = (sensor.lens.matrix.fx, sensor.lens_std[Lens::FX]);
+    let unfit = options.nominal_focal.and_then(|nominal| verdict::unfit_focal(nominal, focal));
+    calibration.verdict.reasons.extend(unfit);
+    Ok(calibration)
+}
+
+/// A lens that was fitted to the images.
+struct FittedScene {
+    start: Reconstruction,
+    fit: LensFit,
+    conditions: SceneConditions,
+    /// The reason to give if the images have different focal lengths.
+    different_focals: Option<String>,
+}
+
+/// Fits the lens to what the images have in common.
+fn fitted(
+    images: &[SceneImage],
+    found: &ImagePairs,
+    options: &SceneOptions,
+) -> Result<FittedScene, SceneRefusal> {
+    let goes_on = || options.interrupt.check().map_err(|_| SceneRefusal::Interrupted);
+    let start = reconstruction(found, options).map_err(|refusal| explained(refusal, found));
     goes_on()?;
     let mut start = start?;
-    check_rotation(&start).map_err(|refusal| explained(refusal, &found))?;
+    check_rotation(&start).map_err(|refusal| explained(refusal, found))?;
     settle(&mut start);
     localize(images, &mut start, options.threads);
     goes_on()?;
@@ -125,21 +160,29 @@ pub fn calibrate_scene(
         focal_lengths::widen(&mut fit, others);
     }
     let conditions = SceneConditions::of(&fit.fit.bundle, &fit.fit.state);
-    check_determined(&fit, &conditions, &found, &start)
-        .map_err(|refusal| explained(refusal, &found))?;
+    check_determined(&fit, &conditions, found, &start)
+        .map_err(|refusal| explained(refusal, found))?;
     let name = |pose: usize| images[start.images[pose]].name.clone();
     let different_focals = others.map(|others| focal_lengths::reason(&others, name));
-    let mut calibration = finished(
-        images,
-        &start,
-        &fit,
-        SceneFindings { conditions, found: &found, different_focals },
-    );
-    let sensor = &calibration.sensor;
-    let focal = (sensor.lens.matrix.fx, sensor.lens_std[Lens::FX]);
-    let unfit = options.nominal_focal.and_then(|nominal| verdict::unfit_focal(nominal, focal));
-    calibration.verdict.reasons.extend(unfit);
-    Ok(calibration)
+    Ok(FittedScene { start, fit, conditions, different_focals })
+}
+
+/// What the images contradict of the given parameters, by a fit without them; `held` is the lens
+/// with them, if there is one.
+fn given_misfit(
+    images: &[SceneImage],
+    found: &ImagePairs,
+    options: &SceneOptions,
+    held: Option<&Lens>,
+) -> Option<GivenMisfit> {
+    let (given, lens) = comparable(&options.given, options.lens, held)?;
+    let free = SceneOptions { lens, given: Vec::new(), ..options.clone() };
+    let FittedScene { fit, .. } = fitted(images, found, &free).ok()?;
+    let lens = &fit.fit.state.lens;
+    let covariance = full_covariance(lens, &fit.fit.bundle.free, &fit.covariance.matrix);
+    let image_size = found.problem.image_size;
+    let free = FreeEstimate { lens, covariance: &covariance, widening: 1.0, image_size };
+    GivenMisfit::of(&given, held, free)
 }
 
 /// Whether the lens model, or one of those to choose from, has the given parameters.
@@ -307,20 +350,13 @@ fn check_determined(
     Ok(())
 }
 
-/// What was found out about the images before and beside the fit.
-struct SceneFindings<'a> {
-    conditions: SceneConditions,
-    found: &'a ImagePairs,
-    different_focals: Option<String>,
-}
-
 fn finished(
     images: &[SceneImage],
-    start: &Reconstruction,
-    fit: &LensFit,
-    findings: SceneFindings<'_>,
+    fitted: &FittedScene,
+    found: &ImagePairs,
+    given_misfit: Option<GivenMisfit>,
 ) -> SceneCalibration {
-    let SceneFindings { conditions, found, different_focals } = findings;
+    let FittedScene { start, fit, conditions, different_focals } = fitted;
     let (state, bundle) = (&fit.fit.state, &fit.fit.bundle);
     let (lens, size) = (state.lens, found.problem.image_size);
     let frame = SceneFrame::of(start, &state.cameras_from_scene);
@@ -353,11 +389,12 @@ fn finished(
     let held_by_prior = held_by_prior(&lens, fit);
     let evidence = Evidence {
         fit,
-        conditions: &conditions,
+        conditions,
         map: map.as_ref(),
         used: start.images.len(),
         views: found.views(),
-        different_focals,
+        different_focals: different_focals.clone(),
+        given_misfit: given_misfit.as_ref(),
         held_by_prior: &held_by_prior,
     };
     let sensor = SceneSensor {
@@ -369,93 +406,8 @@ fn finished(
         uncertainty_px: ProjectionUncertainty { center, median, worst },
     };
     let verdict = verdict::judge(&evidence);
-    let scale = None;
+    let (scale, conditions) = (None, *conditions);
     SceneCalibration { sensor, views, points, checks, verdict, held_by_prior, conditions, scale }
-}
-
-/// The coordinate frame of results: that of the first used image, scaled so that the greatest
-/// distance between two cameras is 1.
-struct SceneFrame {
-    /// By image.
-    camera_from_scene: Vec<Option<Pose>>,
-    scene_from_state: Pose,
-    scale: f64,
-}
-
-impl SceneFrame {
-    fn of(start: &Reconstruction, cameras_from_state: &[Pose]) -> Self {
-        let centers: Vec<_> =
-            cameras_from_state.iter().map(|pose| pose.inverse().translation()).collect();
-        let distances = centers.iter().flat_map(|a| centers.iter().map(move |b| (a - b).norm()));
-        let widest = distances.fold(0.0, f64::max);
-        let scale = if widest > 0.0 { 1.0 / widest } else { 1.0 };
-        let first = (0..start.images.len()).min_by_key(|k| start.images[*k]).unwrap_or(0);
-        let scene_from_state = cameras_from_state[first];
-        let count = start.images.iter().max().map_or(0, |last| last + 1);
-        let mut camera_from_scene = vec![None; count];
-        for (image, camera_from_state) in start.images.iter().zip(cameras_from_state) {
-            let pose = *camera_from_state * scene_from_state.inverse();
-            camera_from_scene[*image] =
-                Some(Pose::new(pose.rotation(), pose.translation() * scale));
-        }
-        Self { camera_from_scene, scene_from_state, scale }
-    }
-
-    fn point(&self, in_state: &Point3<f64>) -> Point3<f64> {
-        (self.scene_from_state * *in_state) * self.scale
-    }
-}
-
-fn scene_points(start: &Reconstruction, fit: &LensFit, frame: &SceneFrame) -> Vec<ScenePoint> {
-    let (bundle, state) = (&fit.fit.bundle, &fit.fit.state);
-    let squares = bundle.squares(state);
-    let all = state.points.iter().zip(&bundle.observations).zip(&squares);
-    all.map(|((point, seen), squares)| {
-        // Points outside the lens's valid region have no residual.
-        let px2: Vec<f64> = seen
-            .iter()
-            .zip(squares)
-            .filter(|(_, square)| square.is_finite())
-            .map(|(seen, square)| square / seen.inverse_std.powi(2))
-            .collect();
-        ScenePoint {
-            point: frame.point(point),
-            rms_px: (px2.iter().sum::<f64>() / px2.len().max(1) as f64).sqrt(),
-            seen: seen.iter().map(|seen| (start.images[seen.camera], seen.pixel)).collect(),
-        }
-    })
-    .collect()
-}
-
-fn view(
-    of: &SceneImage,
-    same_as: Option<&str>,
-    image: usize,
-    frame: &SceneFrame,
-    points: &[ScenePoint],
-    lens: &Lens,
-) -> SceneView {
-    let name = of.name.clone();
-    let sees = |point: &ScenePoint| point.seen.iter().any(|(seen_in, _)| *seen_in == image);
-    let pose = frame.camera_from_scene.get(image).copied().flatten();
-    let Some(camera_from_scene) = pose.filter(|_| points.iter().any(sees)) else {
-        let reason = same_as.map_or_else(
-            || "too few of its features agree with the other images".to_owned(),
-            |other| format!("it shows the same as `{other}`, from the same place"),
-        );
-        return SceneView { name, reason: Some(reason), rms_px: None, camera_from_scene: None };
-    };
-    let (mut sum, mut count) = (0.0, 0);
-    for point in points {
-        for (_, pixel) in point.seen.iter().filter(|(seen_in, _)| *seen_in == image) {
-            let projected = lens.pixel_from_point(&(camera_from_scene * point.point));
-            let Some(projected) = projected else { continue };
-            sum += projected.distance_px(*pixel).powi(2);
-            count += 1;
-        }
-    }
-    let rms_px = (count > 0).then(|| (sum / f64::from(count)).sqrt());
-    SceneView { name, reason: None, rms_px, camera_from_scene: Some(camera_from_scene) }
 }
 
 /// The covariance of all lens parameters: 0 for fixed ones.
@@ -468,18 +420,6 @@ fn full_covariance(lens: &Lens, free: &[usize], matrix: &DMatrix<f64>) -> DMatri
         }
     }
     full
-}
-
-/// The fraction of the image's cells (12 along the longer side) that contain points.
-fn coverage(points: &[ScenePoint], size: ImageSize) -> f64 {
-    let side = f64::from(size.width.max(size.height)) / 12.0;
-    let cells = |length: u32| (f64::from(length) / side).ceil().max(1.0);
-    let seen: std::collections::BTreeSet<(i64, i64)> = points
-        .iter()
-        .flat_map(|point| &point.seen)
-        .map(|(_, pixel)| ((pixel.x / side) as i64, (pixel.y / side) as i64))
-        .collect();
-    (seen.len() as f64 / (cells(size.width) * cells(size.height))).min(1.0)
 }
 
 /// A parameter is held by its prior if its posterior standard deviation exceeds this fraction of

@@ -1,9 +1,11 @@
 //! How far to trust a lens that came from a scene, in words that a person can act on.
 
+use crate::calibration::given_misfit::contradiction;
 use crate::calibration::known_image::KnownImage;
 use crate::calibration::result::{Finding, Grade, Verdict};
 use crate::calibration::scene::conditions::SceneConditions;
 use crate::calibration::scene::fitted_lens::LensFit;
+use crate::estimation::given_misfit::GivenMisfit;
 use crate::estimation::scene::bundle::CameraMotion;
 use crate::estimation::uncertainty::UncertaintyMap;
 use crate::imaging::nominal_focal::NominalFocal;
@@ -36,6 +38,8 @@ pub(super) struct Evidence<'a> {
     pub views: usize,
     /// The reason to give if the images have different focal lengths.
     pub different_focals: Option<String>,
+    /// What the images contradict of the given parameters.
+    pub given_misfit: Option<&'a GivenMisfit>,
     pub held_by_prior: &'a [&'static str],
 }
 
@@ -49,6 +53,7 @@ pub(super) fn relative_focal_std(fit: &LensFit) -> f64 {
 /// The grade, with its reasons.
 pub(super) fn judge(evidence: &Evidence<'_>) -> Verdict {
     let findings = [
+        contradicted(evidence),
         evidence.different_focals.clone().map(|reason| Finding { grade: Grade::Poor, reason }),
         cropped(evidence),
         unused_images(evidence),
@@ -60,6 +65,11 @@ pub(super) fn judge(evidence: &Evidence<'_>) -> Verdict {
         held(evidence),
     ];
     Verdict::of(findings.into_iter().flatten().collect())
+}
+
+fn contradicted(evidence: &Evidence<'_>) -> Option<Finding> {
+    let reason = contradiction(evidence.given_misfit?, "images");
+    Some(Finding { grade: Grade::Poor, reason })
 }
 
 fn unused_images(evidence: &Evidence<'_>) -> Option<Finding> {

@@ -5,7 +5,7 @@ use super::*;
 use crate::calibration::sensor::SensorId;
 use crate::calibration::solve::observations::ObservedFrameSet;
 use crate::estimation::camera::CameraOptions;
-use crate::estimation::problem::{BoardView, Correspondence, LensChoice};
+use crate::estimation::problem::{BoardView, Correspondence, GivenParameter, LensChoice};
 use crate::estimation::rig::FrameSetView;
 use crate::geometry::board::{BoardSize, Chessboard};
 use crate::geometry::camera_matrix::CameraMatrix;
@@ -101,6 +101,49 @@ fn a_lens_that_is_given_is_held() {
     let observations = InstrumentObservations::of_camera(Some(board().into()), only);
     let solved = solve(&observations, &options()).unwrap();
     assert_eq!(solved.color().unwrap().lens, lens(601.0));
+}
+
+#[test]
+fn given_parameters_that_the_views_contradict_are_named_and_no_others() {
+    let camera = camera(None, &[SensorKind::Color], frame_sets(SensorKind::Infrared2, beside()));
+    let verdict_of = |given: &[(&str, f64)]| {
+        let parameter = |(name, value): &(&str, f64)| GivenParameter {
+            name: (*name).to_owned(),
+            value: *value,
+        };
+        let given = given.iter().map(parameter).collect();
+        let camera_options = CameraOptions { given, ..options().camera };
+        let options = SolveOptions { camera: camera_options, ..options() };
+        let observations = InstrumentObservations::of_camera(Some(board().into()), camera.clone());
+        solve(&observations, &options).map(|solved| solved.verdict)
+    };
+    let wrong = verdict_of(&[("cx", 322.0), ("fx", 612.0)]).unwrap();
+    assert_eq!(wrong.grade, Grade::Poor);
+    let first = &wrong.reasons[0];
+    assert!(first.starts_with("the views contradict the given fx 612 (without it"), "{first}");
+    assert!(!wrong.reasons.iter().any(|reason| reason.contains("cause is unknown")), "{wrong:?}");
+    let right = verdict_of(&[("cx", 322.0), ("fx", 600.0)]).unwrap();
+    assert!(!right.reasons.iter().any(|reason| reason.contains("given")), "{right:?}");
+    let far = match verdict_of(&[("fx", 90_000.0)]) {
+        Ok(verdict) => verdict.reasons[0].clone(),
+        Err(error) => error.to_string(),
+    };
+    assert!(far.contains("the views contradict the given fx 90000"), "{far}");
+}
+
+#[test]
+fn a_whole_lens_of_another_camera_is_named() {
+    let of = |fx: f64| {
+        let mut only =
+            camera(None, &[SensorKind::Color], frame_sets(SensorKind::Infrared2, beside()));
+        only.given = Some(lens(fx));
+        let observations = InstrumentObservations::of_camera(Some(board().into()), only);
+        solve(&observations, &options()).unwrap().verdict
+    };
+    let other = of(575.0);
+    assert_eq!(other.grade, Grade::Poor);
+    assert!(other.reasons[0].starts_with("the given lens contradicts the views: its"), "{other:?}");
+    assert!(!of(600.0).reasons.iter().any(|reason| reason.contains("given")));
 }
 
 #[test]

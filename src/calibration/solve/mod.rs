@@ -37,6 +37,7 @@ use crate::estimation::camera::{
 };
 use crate::estimation::dlt::calibrate_dlt;
 use crate::estimation::error::EstimationError;
+use crate::estimation::given_misfit::{GivenCheck, GivenMisfit};
 use crate::estimation::interrupt::Interrupt;
 use crate::estimation::model_check::ModelCheck;
 use crate::estimation::problem::CameraProblem;
@@ -95,6 +96,14 @@ impl SolvedCamera {
         (check.split_half_ratio, check.focal_change) = (lens.ratio, Some(lens.focal_change));
         check.held_out_rms_px = held_out_rms_px;
         (self.checks.split_half_ratio, self.checks.held_out_rms_px) = (lens.ratio, held_out_rms_px);
+    }
+
+    /// What the views contradict of the given lens parameters.
+    pub(super) fn given_misfit(&self) -> Option<&GivenMisfit> {
+        match &self.basis.model_check.given {
+            GivenCheck::Contradicted(misfit) => Some(misfit),
+            _ => None,
+        }
     }
 
     /// The verdict with the uncertainty of `sensor`, which a joint solve has reduced.

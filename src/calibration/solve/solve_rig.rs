@@ -265,17 +265,21 @@ fn checks(singles: &[SingleSensor<'_>], pose_ratio: Option<f64>) -> Checks {
 fn verdict(
     singles: &[SingleSensor<'_>],
     sensors: &[ImageCalibration],
-    mut findings: Vec<Finding>,
+    findings: Vec<Finding>,
 ) -> Verdict {
-    for (one, sensor) in singles.iter().zip(sensors) {
+    let of_camera = |(one, sensor): (&SingleSensor<'_>, &ImageCalibration)| {
         let of_camera = one.solved.verdict_of(sensor);
         let named = |reason| Finding {
             grade: of_camera.grade,
             reason: format!("{}: {reason}", one.input.name),
         };
-        findings.extend(of_camera.reasons.into_iter().map(named));
-    }
-    Verdict::of(findings)
+        of_camera.reasons.into_iter().map(named).collect::<Vec<_>>()
+    };
+    // A given lens that is another camera's is the cause of what is wrong with the poses.
+    let (causes, others): (Vec<_>, Vec<_>) =
+        singles.iter().zip(sensors).partition(|(one, _)| one.solved.given_misfit().is_some());
+    let causes = causes.into_iter().flat_map(of_camera);
+    Verdict::of(causes.chain(findings).chain(others.into_iter().flat_map(of_camera)).collect())
 }
 
 #[cfg(test)]

@@ -120,6 +120,25 @@ fn within_prediction(known: &Extrinsics, target_from_source: &Pose) {
 }
 
 #[test]
+fn a_given_lens_of_another_camera_is_the_first_cause() {
+    let board = Chessboard::new(BoardSize::new(8, 5).unwrap(), 0.03).unwrap();
+    let first_reason = |fx: f64| {
+        let mut input = input(board, |_, _| true);
+        input.sensors[1].given = Some(lens(fx));
+        match solve_rig(&input, &options()) {
+            Ok(solved) => solved.verdict.reasons.first().cloned().unwrap_or_default(),
+            Err(error) => error.to_string(),
+        }
+    };
+    for fx in [534.0, 560.0, 700.0] {
+        let reason = first_reason(fx);
+        assert!(reason.starts_with("right: the given lens contradicts the views: its"), "{reason}");
+    }
+    let right = first_reason(540.0);
+    assert!(!right.contains("given"), "{right}");
+}
+
+#[test]
 fn symmetric_boards_place_cameras_through_others() {
     for size in [BoardSize::new(8, 6).unwrap(), BoardSize::new(6, 6).unwrap()] {
         let board = Chessboard::new(size, 0.03).unwrap();

@@ -3,6 +3,7 @@
 use nalgebra::DMatrix;
 
 use crate::estimation::error::EstimationError;
+use crate::estimation::given_range::check_given_value;
 use crate::estimation::problem::{CameraOptions, GivenParameter};
 use crate::geometry::lens::{Lens, LensModel};
 
@@ -45,17 +46,15 @@ impl FreeLens {
     ) -> Result<(Self, Given), EstimationError> {
         let names = Lens::parameter_names(model);
         let mut given = Vec::new();
-        for GivenParameter { name, value } in &options.given {
+        for parameter in &options.given {
+            let GivenParameter { name, value } = parameter;
             let unknown = || EstimationError::UnknownParameter {
                 model,
                 name: name.clone(),
                 known: names.join(", "),
             };
             let index = names.iter().position(|known| known == name).ok_or_else(unknown)?;
-            let is_focal = [Lens::FX, Lens::FY].contains(&index);
-            if !value.is_finite() || (is_focal && *value <= 0.0) {
-                return Err(EstimationError::GivenValue { name: name.clone(), value: *value });
-            }
+            check_given_value(parameter)?;
             given.push((index, *value));
         }
         if options.square_pixels {
