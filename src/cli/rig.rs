@@ -15,7 +15,7 @@ use crate::calibration::{
     CameraFrameSets, InstrumentObservations, ObservedFrameSet, SolveOptions, solve,
 };
 use crate::cli::calibrate_rgbd;
-use crate::cli::estimated::GivenLens;
+use crate::cli::estimated::{self, GivenLens};
 use crate::cli::files::{read_calibration, same_file};
 use crate::cli::gather::{check_size, same_as, unused};
 use crate::cli::in_order::in_order;
@@ -88,6 +88,9 @@ pub fn calibrate(
         board: Some(target),
         cameras: each.collect::<Result<_, Failure>>()?,
     };
+    for (_, size) in observations.cameras.iter().flat_map(|camera| &camera.image_sensors) {
+        estimated::check_given(&options.given, *size)?;
+    }
     let options = SolveOptions { camera: options.clone(), ..SolveOptions::default() };
     let spinner = progress::spinner("solving");
     let solved = solve(&observations, &options);

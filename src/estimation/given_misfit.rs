@@ -76,8 +76,12 @@ pub(crate) fn comparable(
     held: Option<&Lens>,
 ) -> Option<(Vec<GivenParameter>, LensChoice)> {
     // Coefficients of equal names differ between models.
-    let shared = Lens::parameter_names(LensModel::Pinhole);
-    let is_shared = |it: &GivenParameter| shared.contains(&it.name.as_str());
+    let has_in_matrix = |model: &LensModel, name: &str| {
+        Lens::parameter_names(*model)[..Lens::FIRST_COEFFICIENT].contains(&name)
+    };
+    let is_shared = |it: &GivenParameter| {
+        LensModel::ALL.iter().all(|model| has_in_matrix(model, it.name.as_str()))
+    };
     let (given, choice) = match (choice, held) {
         (LensChoice::Auto, _) if given.iter().all(is_shared) => (given.to_vec(), choice),
         (LensChoice::Auto, Some(held)) => (given.to_vec(), LensChoice::Model(held.model())),
@@ -171,42 +175,41 @@ fn rms_in_sigmas(differences: &[GivenDifference], covariance: &DMatrix<f64>) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::camera_matrix::CameraMatrix;
 
     fn given(name: &str, value: f64) -> GivenParameter {
         GivenParameter { name: name.to_owned(), value }
     }
 
-    /// A pinhole of fx = fy = 600 ± 1 px.
-    fn misfit(all: &[GivenParameter], held: [f64; 5], widening: f64) -> Option<GivenMisfit> {
-        let lens = |parameters: &[f64]| Lens::from_parameters(LensModel::Pinhole, parameters);
-        let free = lens(&[600.0, 600.0, 320.0, 240.0, 0.0]).unwrap();
+    fn pinhole(fx: f64) -> Lens {
+        Lens::pinhole(CameraMatrix { fx, fy: fx, cx: 320.0, cy: 240.0, skew: 0.0 })
+    }
+
+    /// Of a pinhole with focal lengths of 600 ± 1 px; `held` are those with what is given.
+    fn misfit(all: &[GivenParameter], held: f64, widening: f64) -> Option<GivenMisfit> {
+        let free = pinhole(600.0);
         let covariance =
             DMatrix::from_diagonal(&DVector::from_column_slice(&[1.0, 1.0, 1.0, 1.0, 0.0]));
         let image_size = ImageSize::new(640, 480);
         let free = FreeEstimate { lens: &free, covariance: &covariance, widening, image_size };
-        GivenMisfit::of(all, lens(&held).as_ref(), free)
+        GivenMisfit::of(all, Some(&pinhole(held)), free)
     }
 
     #[test]
     fn what_is_off_is_named_with_its_estimate() {
-        let held = [620.0, 620.0, 320.0, 240.0, 0.0];
         let both = [given("cx", 320.5), given("fx", 620.0)];
-        let found = misfit(&both, held, 1.0).unwrap();
+        let found = misfit(&both, 620.0, 1.0).unwrap();
         let fx = GivenDifference { name: "fx", given: 620.0, estimated: 600.0, std: 1.0 };
         assert_eq!(found.parameters, [fx]);
         assert!(!found.is_whole_lens && (found.ratio - 14.1).abs() < 0.1, "{found:?}");
-        assert_eq!(misfit(&both, held, 8.0), None, "halves differ as much");
-        let near = [602.0, 602.0, 320.0, 240.0, 0.0];
-        assert_eq!(misfit(&[given("fx", 602.0)], near, 1.0), None);
-        assert_eq!(misfit(&[given("skew", 3.0)], near, 1.0), None, "it is not estimated");
+        assert_eq!(misfit(&both, 620.0, 8.0), None, "halves differ as much");
+        assert_eq!(misfit(&[given("fx", 602.0)], 602.0, 1.0), None);
+        assert_eq!(misfit(&[given("skew", 3.0)], 602.0, 1.0), None, "it is not estimated");
     }
 
     #[test]
     fn a_whole_lens_is_compared_by_its_projections() {
-        let whole = |fx: f64| {
-            let lens = Lens::from_parameters(LensModel::Pinhole, &[fx, fx, 320.0, 240.0, 0.0]);
-            misfit(&GivenParameter::all_of(&lens.unwrap()), [fx, fx, 320.0, 240.0, 0.0], 1.0)
-        };
+        let whole = |fx: f64| misfit(&GivenParameter::all_of(&pinhole(fx)), fx, 1.0);
         let found = whole(620.0).unwrap();
         assert!(found.is_whole_lens && found.parameters.len() == 1, "{found:?}");
         assert_eq!(whole(601.0), None);

@@ -114,6 +114,9 @@ fn another_size_is_refused_and_so_is_a_lens_for_one() {
     let ran = calibrated(folder.path(), &["--given", &format!("left.color={out}")]);
     assert_eq!(ran.code, Some(1), "{}", ran.stderr);
     assert!(ran.stderr.contains("the images are 640x480") && ran.stderr.contains("for 320x240"));
+    let ran = calibrated(folder.path(), &["--given", "fx=1e9"]);
+    assert_eq!(ran.code, Some(2), "{}", ran.stderr);
+    assert!(ran.stderr.contains("--given: fx = 1000000000 px"), "{}", ran.stderr);
     let first = folder.path().join("left/0.png");
     let half = image::open(&first).unwrap().thumbnail_exact(320, 240);
     half.save(&first).unwrap();

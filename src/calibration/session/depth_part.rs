@@ -1,9 +1,9 @@
 //! What one camera of an instrument has collected about its depth in a session, and the view to
 //! request for it.
 //!
-//! Depth counts from the first view that has it, or from the view that determines the meaning of its
-//! numbers (`raw_depth`), where nobody states that. Boards seen by the infrared camera that measures
-//! depth count with it, as in the solve.
+//! Depth counts from the first view that has it, or from the view that determines the meaning of
+//! its numbers (`raw_depth`), where nobody states that. Boards seen by the infrared camera that
+//! measures depth count with it, as in the solve.
 
 use crate::calibration::information::board_in_depth::BoardInDepth;
 use crate::calibration::information::camera_information::{CameraInformation, ViewInformation};

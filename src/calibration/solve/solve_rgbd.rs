@@ -175,7 +175,8 @@ fn of_orientation(
         let (_, joint) = joint_of(&upright, depth_size, solved, options).ok()?;
         Some((joint.tile_noise, orientation))
     };
-    // Planes that fill the image may fit in several orientations, but closely in the right one only.
+    // Planes that fill the image may fit in several orientations, but closely only in the right
+    // one: the tiles scatter least there.
     let fitting = DepthOrientation::ALL.into_iter().filter_map(noise);
     let closest = fitting.min_by(|(a, _), (b, _)| a.total_cmp(b));
     closest.map_or(error, |(_, orientation)| RgbdError::Orientation(orientation))
