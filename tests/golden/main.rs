@@ -41,6 +41,7 @@ mod seeded_rgbd;
 #[path = "../system/shared_data.rs"]
 mod shared_data;
 mod stored_corners;
+mod tag_prints;
 mod textbook;
 mod tracking;
 mod walk;

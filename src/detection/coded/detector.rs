@@ -32,6 +32,11 @@ use crate::imaging::gray::GrayView;
 /// not swept.
 const COMPLETIONS: usize = 8;
 
+/// A grid of which less than one tag in this many is read may be an inverted one with a highlight:
+/// that makes black brighter than white in a few tags, which are then not inverted. Chosen, not
+/// swept.
+const FEW_MARKERS_ONE_IN: usize = 4;
+
 /// Finds one target with markers in images. Its buffers are kept from image to image.
 #[derive(Debug)]
 pub struct TargetDetector {
@@ -59,6 +64,8 @@ pub struct TargetDetector {
     pub(super) refiner: Refiner,
     pub(super) meeting: MeetingSides,
     pub(super) last: LastTarget,
+    /// Whether inverted grids of tags are searched for where no other is found.
+    inverted_too: bool,
 }
 
 /// A board that was searched for and found.
@@ -144,6 +151,7 @@ impl TargetDetector {
             refined: Vec::new(),
             meeting: MeetingSides::default(),
             last: LastTarget::default(),
+            inverted_too: false,
             thresholds,
         })
     }
@@ -161,13 +169,14 @@ impl TargetDetector {
         self.search_all(image, true).map(|found| found.detection)
     }
 
-    /// The target anywhere in `image`, at `other_scales` than the pyramid's too; it is left in
-    /// `grid`.
+    /// The target anywhere in `image`; where `in_every_way`, at other scales than the pyramid's
+    /// and inverted too. It is left in `grid`.
     pub(super) fn search_all(
         &mut self,
         image: GrayView<'_>,
-        other_scales: bool,
+        in_every_way: bool,
     ) -> Result<FoundTarget, NoTarget> {
+        self.inverted_too = in_every_way || self.last.inverted;
         let (width, height) = (image.width(), image.height());
         if width.min(height) < self.thresholds.lattice.least_side_px {
             let target = self.target.to_string();
@@ -190,7 +199,7 @@ impl TargetDetector {
                 return Ok(found);
             }
         }
-        other_scales
+        in_every_way
             .then(|| self.find_between(image, coarsest, &mut seen))
             .flatten()
             .ok_or_else(|| self.reason(&seen))
@@ -254,12 +263,46 @@ impl TargetDetector {
     }
 
     /// Grows lattices from the candidates of `view`, until one is labeled; it is left in `grid`.
+    /// Those of inverted grids of tags come last, so that others are found as if there were none.
     pub(super) fn search(
         &mut self,
         view: GrayView<'_>,
         search: LatticeSearch,
         seen: &mut Unlabeled,
     ) -> Option<BoardLabel> {
+        let label = self.search_printed(view, search, false, seen);
+        let few = |label: BoardLabel| {
+            label.markers * FEW_MARKERS_ONE_IN < self.sheets.ways[label.way].count
+        };
+        let is_enough = label.map_or(!self.inverted_too, |label| !few(label));
+        if !self.sheets.alternates() || is_enough {
+            return label;
+        }
+        let own = label.map(|label| (label, self.grid.clone()));
+        let inverted = self.search_printed(view, search, true, seen);
+        match own {
+            Some((label, grid))
+                if inverted.is_none_or(|it| it.significance <= label.significance) =>
+            {
+                self.grid = grid;
+                Some(label)
+            }
+            _ => inverted,
+        }
+    }
+
+    /// The same with lattices as of a grid of tags that is `inverted` or not; of other boards,
+    /// both.
+    fn search_printed(
+        &mut self,
+        view: GrayView<'_>,
+        search: LatticeSearch,
+        inverted: bool,
+        seen: &mut Unlabeled,
+    ) -> Option<BoardLabel> {
+        self.growth.inverted = inverted;
+        self.open_squares = 0;
+        self.used.fill(false);
         let limits = self.thresholds.lattice;
         let floor = FloorLimits::in_search_of(&self.sheets);
         let (mut starts, mut read, mut floor_places) = (0, 0, 0);

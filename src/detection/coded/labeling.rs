@@ -52,7 +52,9 @@ impl TargetDetector {
     /// The ways in which cells may be read: inverted or not, and which sheets; sheets that differ
     /// only in their cells are read together. The way of the `expected` label comes first.
     fn readings(&self, expected: Option<BoardLabel>) -> Vec<(bool, Range<usize>)> {
-        let inversions: &[bool] = if self.sheets.alternates() { &[false] } else { &[false, true] };
+        // Tags are in the cells of the lattice that have wide sides, so their color is known.
+        let of_lattice = [self.grid.bright];
+        let inversions = if self.sheets.alternates() { &of_lattice[..] } else { &[false, true] };
         let mut readings = Vec::with_capacity(4);
         for &inverted in inversions {
             let mut way = 0;

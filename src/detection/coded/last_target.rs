@@ -14,6 +14,8 @@ pub(super) struct LastTarget {
     pub(super) steps: Vec<[Vec2; 2]>,
     /// Its placement in the grid, and whether the grid's first square is bright.
     pub(super) label: Option<(BoardLabel, bool)>,
+    /// Whether it, or the one before it if this image shows none, was inverted.
+    pub(super) inverted: bool,
     /// The level of the image on which it was found.
     pub(super) level: usize,
     /// Whether it was found at a scale that the pyramid does not have.

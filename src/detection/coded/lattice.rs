@@ -22,6 +22,9 @@ pub(super) struct LatticeGrowth {
     pairs: Vec<ChartPair>,
     /// Places that were measured since it was set to 0.
     pub places: usize,
+    /// Whether lattices whose intervals alternate are grown as of an inverted grid: its tags are
+    /// bright.
+    pub inverted: bool,
 }
 
 /// What lattices grow from: an image, what was seen in it, and what the target's lines are like.
@@ -47,7 +50,7 @@ impl LatticeGrowth {
     ) {
         grid.clear(LARGEST_RADIUS, true);
         let mut most = 0;
-        for (first, bright) in starts(scene, seed) {
+        for (first, bright) in starts(scene, seed, self.inverted) {
             spare.clear(LARGEST_RADIUS, bright);
             for (&index, (i, j)) in seed.corners.iter().zip([(0, 0), (1, 0), (0, 1), (1, 1)]) {
                 let Candidate { pixel, contrast, .. } = scene.candidates[index];
@@ -328,21 +331,20 @@ fn contrast_near(grid: &Grid, i: i32, j: i32) -> (f32, i32) {
 }
 
 /// Which cells of the lattice a seed's square may be: the index of its first corner, and whether
-/// cell (0, 0) is bright.
-fn starts(scene: LatticeScene<'_>, seed: &Seed) -> Vec<((i32, i32), bool)> {
+/// cell (0, 0) is bright. Where intervals alternate, cell (0, 0) is a tag's: dark unless the grid
+/// is `inverted`.
+fn starts(scene: LatticeScene<'_>, seed: &Seed, inverted: bool) -> Vec<((i32, i32), bool)> {
     if !scene.sheets.alternates() {
         return vec![((0, 0), seed.bright)];
     }
     let [p, a, b, d] = seed.corners.map(|index| scene.candidates[index].pixel);
     let along = (a - p).norm() + (d - b).norm();
     let across = (b - p).norm() + (d - a).norm();
-    // A bright cell lies between a tag and the next, a dark one is a tag or a corner square.
-    // Cell (0, 0) is a tag's, dark unless the board is inverted.
-    let mixed = if along > across { [(0, 1), (1, 0)] } else { [(1, 0), (0, 1)] };
-    let equal = [(1, 1), (0, 0)];
-    if seed.bright {
-        vec![(mixed[0], false), (mixed[1], false)]
-    } else {
-        vec![(equal[0], false), (equal[1], false)]
-    }
+    // A cell of the tags' color is a tag or a corner square, another one lies between two tags.
+    let firsts = match (seed.bright == inverted, along > across) {
+        (true, _) => [(1, 1), (0, 0)],
+        (false, true) => [(0, 1), (1, 0)],
+        (false, false) => [(1, 0), (0, 1)],
+    };
+    firsts.map(|first| (first, inverted)).to_vec()
 }

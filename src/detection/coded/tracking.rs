@@ -28,9 +28,10 @@ use crate::imaging::gray::GrayView;
 /// of the board. Chosen, not swept.
 const REFERENCES_A_SIDE: usize = 3;
 
-/// Of the images of a stream without a target, one in this many is searched at all scales: that
-/// takes several times as long, and a target in front of a camera stays for a second.
-const OTHER_SCALES_EVERY: u32 = 8;
+/// Of the images of a stream without a target, one in this many is searched in every way, at all
+/// scales and for an inverted grid: that takes several times as long, and a target in front of a
+/// camera stays for a second.
+const EVERY_WAY_EVERY: u32 = 8;
 
 /// A target in a stream of images.
 #[derive(Debug, Clone, PartialEq)]
@@ -54,8 +55,8 @@ impl TargetDetector {
             self.remember(label, self.last.level, detection.blur_px);
             return Ok(TrackedTarget { detection, followed: true });
         }
-        let other_scales = self.last.between || self.last.missed.is_multiple_of(OTHER_SCALES_EVERY);
-        let searched = self.search_all(image, other_scales);
+        let in_every_way = self.last.between || self.last.missed.is_multiple_of(EVERY_WAY_EVERY);
+        let searched = self.search_all(image, in_every_way);
         match &searched {
             Ok(found) => {
                 self.remember(found.label, found.level, found.detection.blur_px);
@@ -85,6 +86,7 @@ impl TargetDetector {
             }
         }
         last.label = Some((label, grid.bright));
+        last.inverted = label.inverted;
         (last.level, last.blur_px) = (level, blur_px as f32);
     }
 

@@ -90,7 +90,8 @@ pub(super) fn seen_markers(
     printed: u8,
 ) -> Vec<SeenMarkers> {
     let mut seen = Vec::new();
-    let inversions: &[bool] = if sheets.alternates() { &[false] } else { &[false, true] };
+    let of_lattice = [grid.bright];
+    let inversions = if sheets.alternates() { &of_lattice[..] } else { &[false, true] };
     for &inverted in inversions {
         let cells = cells(sheets, grid, sheets.in_bright != inverted);
         for payload in payloads {

@@ -86,6 +86,8 @@ impl TargetDetector {
 struct SeenSheet<'a> {
     image: GrayView<'a>,
     pairs: Vec<ChartPair>,
+    /// Of paper over print: 1, or −1 on an inverted board.
+    sign: f32,
 }
 
 impl<'a> SeenSheet<'a> {
@@ -95,7 +97,8 @@ impl<'a> SeenSheet<'a> {
             pixel: [corner.pixel.x, corner.pixel.y],
             weight: 1.0,
         });
-        Self { image, pairs: pairs.collect() }
+        let sign = if detection.markers.inverted { -1.0 } else { 1.0 };
+        Self { image, pairs: pairs.collect(), sign }
     }
 
     /// Gray values in the column `x` at these distances beyond the end of `row`, negative ones
@@ -157,7 +160,8 @@ impl<'a> SeenSheet<'a> {
             let Some([print, paper, gap, beyond]) = self.across(row, middle, places) else {
                 continue;
             };
-            let is_paper = |value: f32| (value - paper).abs() < MOST_DIFFERENCE * (paper - print);
+            let depth = self.sign * (paper - print);
+            let is_paper = |value: f32| (value - paper).abs() < MOST_DIFFERENCE * depth;
             seen += 1;
             ending += usize::from(is_paper(gap) && is_paper(beyond));
         }

@@ -66,9 +66,12 @@ impl fmt::Display for RecognizedBoard {
 /// that its size is not determined.
 pub fn recognize(image: GrayView<'_>) -> Option<RecognizedBoard> {
     let mut seen = SeenCandidates::default();
-    templates().into_iter().find_map(|template| {
+    let inverted = templates().into_iter().filter(|it| matches!(it, Target::AprilGrid(_)));
+    let templates = templates().into_iter().map(|template| (template, false));
+    templates.chain(inverted.map(|template| (template, true))).find_map(|(template, inverted)| {
         let payloads = payloads(&template);
         let mut lattices = TargetDetector::new(template)?;
+        lattices.growth.inverted = inverted;
         let read = |view: GrayView<'_>, sheets: &Sheets, grid: &Grid| {
             let printed = if sheets.alternates() { 2 } else { 0 };
             seen_markers(view, sheets, grid, &payloads, printed)
