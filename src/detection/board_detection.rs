@@ -207,6 +207,7 @@ impl NoBoard {
             Self::OtherSize { .. }
                 | Self::Target(
                     NoTarget::OtherBoard { .. }
+                        | NoTarget::OtherBorder { .. }
                         | NoTarget::Recognized { .. }
                         | NoTarget::Mirrored { .. }
                 )

@@ -25,7 +25,7 @@ use crate::detection::thresholds::Thresholds;
 use crate::detection::thresholds::chessboard::SeedThresholds;
 use crate::detection::thresholds::markers::LatticeThresholds;
 use crate::detection::vec2::Vec2;
-use crate::geometry::target::Target;
+use crate::geometry::target::{AprilGrid, Target};
 use crate::imaging::gray::GrayView;
 
 /// How often missing corners are searched for: each time farther from those that are known. Chosen,
@@ -108,6 +108,8 @@ pub(super) struct Unlabeled {
     elsewhere: usize,
     undecided: usize,
     mirrored: usize,
+    /// The border of tags whose border is stated to be another, and how many show that.
+    other_border: Option<(u32, usize)>,
     /// Floors whose cells were read.
     floors_read: usize,
 }
@@ -190,6 +192,9 @@ impl TargetDetector {
             let search = LatticeSearch::Boards;
             if let Some(found) = self.find_on(image, level, search, &mut seen) {
                 return Ok(found);
+            }
+            if seen.other_border.is_some() {
+                return Err(self.reason(&seen));
             }
         }
         // Squares of which an image shows no more than a few are large on any level.
@@ -348,6 +353,10 @@ impl TargetDetector {
                     self.complete(view, label);
                     return Some(label);
                 }
+                BoardLabels::OtherPrint(label) => {
+                    let border = self.sheets.ways[label.way].border_bits;
+                    seen.other_border = border.map(|border| (border, label.markers));
+                }
                 BoardLabels::Elsewhere(markers) => seen.elsewhere = seen.elsewhere.max(markers),
                 BoardLabels::Two(first, _) => seen.undecided = seen.undecided.max(first.markers),
                 // A floor in mirror image is not the target either.
@@ -454,7 +463,12 @@ impl TargetDetector {
     fn reason(&self, seen: &Unlabeled) -> NoTarget {
         let target = self.target.to_string();
         let (count, cols, rows) = seen.lattice;
-        if seen.undecided > 0 {
+        if let (Some((seen, markers)), Target::AprilGrid(AprilGrid { border_bits, .. })) =
+            (seen.other_border, self.target)
+        {
+            let stated = border_bits.unwrap_or(seen);
+            NoTarget::OtherBorder { markers, seen, stated, target }
+        } else if seen.undecided > 0 {
             NoTarget::TwoPlaces { markers: seen.undecided, target }
         } else if seen.mirrored > 0 {
             NoTarget::Mirrored { markers: seen.mirrored, target }

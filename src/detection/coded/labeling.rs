@@ -18,23 +18,17 @@ impl TargetDetector {
     ) -> BoardLabels {
         let mut believed = BoardLabels::None;
         for (inverted, ways) in self.readings(expected) {
-            let in_bright = self.sheets.in_bright != inverted;
-            let Self { reading, sheets, grid, .. } = self;
-            reading.read(
-                view,
-                SheetCells { sheets, sheet: &sheets.ways[ways.start], grid, in_bright },
-            );
-            for beyond in [0, self.thresholds.labels.most_beyond] {
-                let mut best = BestLabel::default();
-                for way in ways.clone() {
-                    best.weigh(&self.sheets, way, &self.grid, &self.reading, inverted, beyond);
+            let is_stated = ways.start < self.sheets.stated;
+            if !is_stated {
+                if let BoardLabels::One(other) =
+                    self.label_as(view, (inverted, ways), BoardLabels::None)
+                    && self.is_other_print(&other, believed)
+                {
+                    return BoardLabels::OtherPrint(other);
                 }
-                let labels = best.labels(&self.reading, &self.sheets);
-                believed = better(believed, self.by_ends(view, labels));
-                if matches!(believed, BoardLabels::One(_)) {
-                    break;
-                }
+                continue;
             }
+            believed = self.label_as(view, (inverted, ways), believed);
             if let BoardLabels::One(label) = believed
                 && label.agreement > self.sheets.ways[label.way].certain()
             {
@@ -47,6 +41,48 @@ impl TargetDetector {
             }
             _ => believed,
         }
+    }
+
+    /// Reads all markers inverted or not and in these `ways`; the result, or what was `believed`
+    /// before if that is more certain.
+    fn label_as(
+        &mut self,
+        view: GrayView<'_>,
+        (inverted, ways): (bool, Range<usize>),
+        mut believed: BoardLabels,
+    ) -> BoardLabels {
+        let in_bright = self.sheets.in_bright != inverted;
+        let Self { reading, sheets, grid, .. } = self;
+        let sheet = &sheets.ways[ways.start];
+        reading.read(view, SheetCells { sheets, sheet, grid, in_bright });
+        for beyond in [0, self.thresholds.labels.most_beyond] {
+            let mut best = BestLabel::default();
+            for way in ways.clone() {
+                best.weigh(&self.sheets, way, &self.grid, &self.reading, inverted, beyond);
+            }
+            let labels = best.labels(&self.reading, &self.sheets);
+            believed = better(believed, self.by_ends(view, labels));
+            if matches!(believed, BoardLabels::One(_)) {
+                break;
+            }
+        }
+        believed
+    }
+
+    /// Whether the board is certainly printed as in the label `other`, and not in the way that is
+    /// stated of it, read in which it is `believed` to be there or not.
+    fn is_other_print(&self, other: &BoardLabel, believed: BoardLabels) -> bool {
+        let ways = &self.sheets.ways;
+        let printed = &ways[other.way];
+        // Where both ways give nearly the same payload, no correlation is certain by itself.
+        let least = printed.certain().min(self.thresholds.labels.clear_agreement);
+        let exceeds = match believed {
+            BoardLabels::One(label) => {
+                other.agreement > printed.least_ratio(&ways[label.way]) * label.agreement
+            }
+            _ => true,
+        };
+        other.agreement > least && exceeds
     }
 
     /// The ways in which cells may be read: inverted or not, and which sheets; sheets that differ

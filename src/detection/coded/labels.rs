@@ -41,6 +41,8 @@ pub(super) enum BoardLabels {
     One(BoardLabel),
     /// Two places alike.
     Two(BoardLabel, BoardLabel),
+    /// One place, but in a way in which the target is stated not to be printed.
+    OtherPrint(BoardLabel),
     /// So many cells have codes of the target, but elsewhere.
     Elsewhere(usize),
     /// Nothing.

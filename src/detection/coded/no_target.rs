@@ -48,6 +48,21 @@ pub enum NoTarget {
         /// What was searched for.
         target: String,
     },
+    /// The target's tags, with another border than is stated.
+    #[error(
+        "{markers} tags of the {target} are seen with a border of {}, but \"border_bits\": {stated} is stated: state {seen}, or leave it out",
+        cells(*seen)
+    )]
+    OtherBorder {
+        /// How many tags show that.
+        markers: usize,
+        /// The border that is seen, in cells.
+        seen: u32,
+        /// The border that is stated, in cells.
+        stated: u32,
+        /// What was searched for.
+        target: String,
+    },
     /// The mirror image of the target's markers.
     #[error(
         "{markers} markers of the {target} are seen in mirror image: disable image flipping in the camera or its driver"
@@ -87,9 +102,15 @@ impl NoTarget {
             Self::ImageTooSmall { .. } => "image_too_small",
             Self::NoLattice { .. } => "no_lattice",
             Self::NoMarkers { .. } => "no_markers",
-            Self::OtherBoard { .. } | Self::Recognized { .. } => "other_board",
+            Self::OtherBoard { .. } | Self::OtherBorder { .. } | Self::Recognized { .. } => {
+                "other_board"
+            }
             Self::Mirrored { .. } => "mirrored",
             Self::TwoPlaces { .. } => "two_places",
         }
     }
+}
+
+fn cells(count: u32) -> String {
+    if count == 1 { "1 cell".to_owned() } else { format!("{count} cells") }
 }

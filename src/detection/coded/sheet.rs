@@ -34,6 +34,9 @@ pub(super) struct Sheet {
 pub(super) struct Sheets {
     /// The ways.
     pub ways: Vec<Sheet>,
+    /// So many of them, the first ones, are as the target is stated to be. The others are read only
+    /// to report that it is not.
+    pub stated: usize,
     /// Widths of the intervals between lines, those after even lines and those after odd ones, in
     /// units of the first.
     pub widths: [f32; 2],
@@ -57,6 +60,14 @@ impl Sheet {
     /// between mistaken markers and perfect ones.
     pub(super) fn certain(&self) -> f32 {
         (1.0 + self.mistaken) / 2.0
+    }
+
+    /// The least ratio of the correlations of cells with their codes, read in this way and in the
+    /// `other`, from which on this one is how they are printed: cells read in the wrong way have
+    /// `mistaken` of the right one's correlation, so the ratio is halfway (geometrically) between
+    /// what either print would give.
+    pub(super) fn least_ratio(&self, other: &Self) -> f32 {
+        (self.mistaken / other.mistaken.max(f32::EPSILON)).max(0.0).sqrt()
     }
 
     /// The marker in a cell.
@@ -107,6 +118,7 @@ impl Sheets {
         let count = ways.iter().map(|way| way.count).max().unwrap_or(0);
         let codes = codes(&board.dictionary, board.first_id as usize, count, 0);
         Self {
+            stated: ways.len(),
             ways,
             widths: [1.0, 1.0],
             bits,
@@ -130,21 +142,17 @@ impl Sheets {
         };
         let codes =
             codes(&grid.family, grid.first_id as usize, grid.cols as usize * grid.rows as usize, 2);
-        let ways: Vec<Sheet> = match grid.border_bits {
-            Some(border) => vec![way(border)],
-            None => {
-                let [wide, narrow] = [way(2), way(1)];
-                let mistaken = |read: &Sheet, printed: &Sheet| {
-                    mistaken(&codes, bits, [read.inset, printed.inset])
-                };
-                vec![
-                    Sheet { mistaken: mistaken(&wide, &narrow), ..wide.clone() },
-                    Sheet { mistaken: mistaken(&narrow, &wide), ..narrow },
-                ]
-            }
-        };
+        let borders = if grid.border_bits == Some(1) { [1, 2] } else { [2, 1] };
+        let [first, second] = borders.map(way);
+        let mistaken =
+            |read: &Sheet, printed: &Sheet| mistaken(&codes, bits, [read.inset, printed.inset]);
+        let ways = vec![
+            Sheet { mistaken: mistaken(&first, &second), ..first.clone() },
+            Sheet { mistaken: mistaken(&second, &first), ..second },
+        ];
         let spacing = grid.spacing as f32;
         Self {
+            stated: if grid.border_bits.is_some() { 1 } else { ways.len() },
             ways,
             widths: [1.0, spacing],
             bits,
