@@ -120,7 +120,7 @@ pub fn calibrate_scene(
     };
     let misfit = given_misfit(images, &found, options, Some(&fitted.fit.fit.state.lens));
     goes_on()?;
-    let mut calibration = finished(images, &fitted, &found, misfit);
+    let mut calibration = finished(images, &fitted, &found, misfit.as_ref());
     let sensor = &calibration.sensor;
     let focal = (sensor.lens.matrix.fx, sensor.lens_std[Lens::FX]);
     let unfit = options.nominal_focal.and_then(|nominal| verdict::unfit_focal(nominal, focal));
@@ -354,7 +354,7 @@ fn finished(
     images: &[SceneImage],
     fitted: &FittedScene,
     found: &ImagePairs,
-    given_misfit: Option<GivenMisfit>,
+    given_misfit: Option<&GivenMisfit>,
 ) -> SceneCalibration {
     let FittedScene { start, fit, conditions, different_focals } = fitted;
     let (state, bundle) = (&fit.fit.state, &fit.fit.bundle);
@@ -394,7 +394,7 @@ fn finished(
         used: start.images.len(),
         views: found.views(),
         different_focals: different_focals.clone(),
-        given_misfit: given_misfit.as_ref(),
+        given_misfit,
         held_by_prior: &held_by_prior,
     };
     let sensor = SceneSensor {
