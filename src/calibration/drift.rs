@@ -11,8 +11,10 @@ use crate::calibration::result::ImageCalibration;
 use crate::estimation::board_pose::board_poses;
 use crate::estimation::measured_board::{MeasuredBoard, RollingShutter};
 use crate::estimation::problem::BoardView;
+use crate::estimation::relabeled::relabeled;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
+use crate::geometry::pose::Pose;
 
 /// Limit of the misfit, in standard deviations of the calibration's own projections.
 const LIMIT_SIGMAS: f64 = 3.0;
@@ -70,7 +72,9 @@ impl DriftWatch {
     }
 
     /// Adds a board seen in an image of `size`. Returns the drift once, when it exceeds the limit.
-    pub fn see(&mut self, view: &BoardView, size: ImageSize) -> Option<Drift> {
+    /// Of a board with several `symmetries`, a view may label its corners from another end than the
+    /// calibration: the labels that fit best count.
+    pub fn see(&mut self, view: &BoardView, symmetries: &[Pose], size: ImageSize) -> Option<Drift> {
         if self.reported {
             return None;
         }
@@ -82,7 +86,12 @@ impl DriftWatch {
             return Some(self.report(reason, None));
         }
         // A view that determines no pose shows nothing about the lens.
-        self.misfits_px.push(self.misfit_px(view)?);
+        let of_labels = |symmetry: &Pose| {
+            let correspondences = relabeled(&view.correspondences, symmetry);
+            self.misfit_px(BoardView { name: view.name.clone(), correspondences })
+        };
+        let misfits_px = symmetries.iter().filter_map(of_labels);
+        self.misfits_px.push(misfits_px.min_by(f64::total_cmp)?);
         if self.misfits_px.len() < MEDIAN_VIEWS {
             return None;
         }
@@ -102,8 +111,7 @@ impl DriftWatch {
     }
 
     /// Root mean square residual of a view at its best pose, in pixels.
-    fn misfit_px(&self, view: &BoardView) -> Option<f64> {
-        let mut view = view.clone();
+    fn misfit_px(&self, mut view: BoardView) -> Option<f64> {
         if let Some(board) = &self.board_shape {
             for corner in &mut view.correspondences {
                 *corner = corner.placed_on(board);
@@ -142,7 +150,6 @@ mod tests {
     use crate::estimation::problem::Correspondence;
     use crate::geometry::board::{BoardSize, Chessboard};
     use crate::geometry::lens::LensModel;
-    use crate::geometry::pose::Pose;
 
     const SIZE: ImageSize = ImageSize::new(640, 480);
 
@@ -177,6 +184,10 @@ mod tests {
         BoardView { name: k.to_string(), correspondences: correspondences.collect() }
     }
 
+    fn as_labeled() -> [Pose; 1] {
+        [Pose::identity()]
+    }
+
     fn watch(lens: Lens) -> DriftWatch {
         DriftWatch::new("c1", &calibration(lens))
     }
@@ -203,43 +214,72 @@ mod tests {
     fn the_same_lens_has_not_moved() {
         let mut watch = watch(lens(600.0, -0.1));
         for k in 0..8 {
-            assert_eq!(watch.see(&view(&lens(600.0, -0.1), k % 5), SIZE), None);
+            assert_eq!(watch.see(&view(&lens(600.0, -0.1), k % 5), &as_labeled(), SIZE), None);
         }
     }
 
     #[test]
     fn a_refocused_lens_is_reported_once_after_some_views() {
         let mut watch = watch(lens(600.0, -0.1));
-        let reports: Vec<Option<Drift>> =
-            (0..8).map(|k| watch.see(&view(&lens(570.0, -0.05), k % 5), SIZE)).collect();
+        let reports: Vec<Option<Drift>> = (0..8)
+            .map(|k| watch.see(&view(&lens(570.0, -0.05), k % 5), &as_labeled(), SIZE))
+            .collect();
         assert_eq!(reports.iter().flatten().count(), 1);
         let drift = reports[MEDIAN_VIEWS - 1].as_ref().unwrap();
         assert!(drift.rms_px.unwrap() > 0.2, "{drift:?}");
         assert_eq!((drift.calibration.as_str(), drift.expected_px), ("c1", 0.06));
     }
 
-    #[test]
-    fn a_board_that_was_measured_uneven_is_no_drift() {
-        let lens = lens(600.0, -0.1);
+    /// The calibration's board, measured as `offset_m` says.
+    fn measured(lens: &Lens, offset_m: fn(&Point3<f64>) -> Vector3<f64>) -> MeasuredBoard {
         let points: Vec<Point3<f64>> =
-            view(&lens, 0).correspondences.iter().map(|c| c.point_in_board).collect();
-        let offsets_m: Vec<Vector3<f64>> = points.iter().map(bow).collect();
-        let std_m = vec![Vector3::repeat(1e-5); points.len()];
-        let measured = MeasuredBoard {
+            view(lens, 0).correspondences.iter().map(|c| c.point_in_board).collect();
+        let offsets_m: Vec<Vector3<f64>> = points.iter().map(offset_m).collect();
+        MeasuredBoard {
+            std_m: vec![Vector3::repeat(1e-5); points.len()],
             points,
             offsets_m,
-            std_m,
             unevenness_m: 5e-4,
             unevenness_std_m: 1e-5,
             bow_m: [1e-3, 0.0],
-        };
+        }
+    }
+
+    #[test]
+    fn a_board_that_was_measured_uneven_is_no_drift() {
+        let lens = lens(600.0, -0.1);
         let reports = |board_shape: Option<MeasuredBoard>| {
             let mut watch =
                 DriftWatch::new("c1", &ImageCalibration { board_shape, ..calibration(lens) });
-            (0..8).filter_map(|k| watch.see(&uneven_view(&lens, k % 5, bow), SIZE)).count()
+            let seen = |k: usize| watch.see(&uneven_view(&lens, k % 5, bow), &as_labeled(), SIZE);
+            (0..8).filter_map(seen).count()
         };
-        assert_eq!(reports(Some(measured)), 0);
+        assert_eq!(reports(Some(measured(&lens, bow))), 0);
         assert_eq!(reports(None), 1, "taken for a flat one");
+    }
+
+    #[test]
+    fn a_symmetric_board_that_is_labeled_from_its_other_end_is_no_drift() {
+        /// Print that is stretched towards one end.
+        fn stretched(point: &Point3<f64>) -> Vector3<f64> {
+            Vector3::new(0.02 * point.x * point.x, 0.0, 0.0)
+        }
+        let lens = lens(600.0, -0.1);
+        let far = Vector3::new(0.24, 0.15, 0.0);
+        let half_turn = Pose::from_axis_angle(Vector3::z() * std::f64::consts::PI, far);
+        let reports = |symmetries: &[Pose]| {
+            let board_shape = Some(measured(&lens, stretched));
+            let mut watch =
+                DriftWatch::new("c1", &ImageCalibration { board_shape, ..calibration(lens) });
+            let seen = |k: usize| {
+                let view = uneven_view(&lens, k % 5, stretched);
+                let correspondences = relabeled(&view.correspondences, &half_turn);
+                watch.see(&BoardView { correspondences, ..view }, symmetries, SIZE)
+            };
+            (0..8).filter_map(seen).count()
+        };
+        assert_eq!(reports(&[Pose::identity(), half_turn]), 0);
+        assert_eq!(reports(&as_labeled()), 1, "with its labels as they are");
     }
 
     /// Each row sees the board where it is while that row is read.
@@ -259,7 +299,9 @@ mod tests {
         let reports = |rolling_shutter: Option<RollingShutter>| {
             let sensor = ImageCalibration { rolling_shutter, ..calibration(lens) };
             let mut watch = DriftWatch::new("c1", &sensor);
-            (0..8).filter_map(|k| watch.see(&moving_view(&lens, k % 5, 4e-3), SIZE)).count()
+            (0..8)
+                .filter_map(|k| watch.see(&moving_view(&lens, k % 5, 4e-3), &as_labeled(), SIZE))
+                .count()
         };
         let shutter = RollingShutter { translation_m: 4e-3, rotation_rad: 0.0, agreement: 1.0 };
         assert_eq!(reports(Some(shutter)), 0);
@@ -269,7 +311,9 @@ mod tests {
     #[test]
     fn images_of_another_size_are_reported_at_once() {
         let mut watch = watch(lens(600.0, -0.1));
-        let drift = watch.see(&view(&lens(600.0, -0.1), 0), ImageSize::new(1280, 720)).unwrap();
+        let drift = watch
+            .see(&view(&lens(600.0, -0.1), 0), &as_labeled(), ImageSize::new(1280, 720))
+            .unwrap();
         assert!(drift.reason.contains("1280") && drift.rms_px.is_none(), "{drift:?}");
     }
 }

@@ -12,7 +12,9 @@ use crate::estimation::camera::{CameraEstimate, CameraOptions, CameraStart, cali
 use crate::estimation::error::EstimationError;
 use crate::estimation::model_check::ModelCheck;
 use crate::estimation::problem::{CameraProblem, LensChoice};
+use crate::estimation::relabeled::RelabeledProblem;
 use crate::estimation::uncertainty::Distance;
+use crate::geometry::pose::Pose;
 
 /// With fewer views a new estimate takes little time, and each view still changes much.
 const LEAST_VIEWS: usize = 8;
@@ -63,14 +65,18 @@ impl Continuation {
 
     /// Continues to the estimate of `problem`, whose first views must be those of this one; `None`
     /// if that fails or is suspect.
-    fn continue_with(&self, problem: &CameraProblem) -> Option<EstimateSoFar> {
+    fn continue_with(
+        &self,
+        problem: &CameraProblem,
+        board_symmetries: &[Pose],
+    ) -> Option<EstimateSoFar> {
         let lens = LensChoice::Model(self.start.lens.model());
         let options =
             CameraOptions { lens, start: Some(self.start.clone()), ..CameraOptions::default() };
-        let (estimate, check) = calibrate_and_check(problem, &options).ok()?;
         let origin =
             EstimateOrigin { from_scratch: false, chosen_from_views: self.chosen_from_views };
-        self.is_continued_by(&estimate).then(|| EstimateSoFar::of(&estimate, &check, origin))
+        let (estimate, so_far) = estimated(problem, board_symmetries, &options, origin).ok()?;
+        self.is_continued_by(&estimate).then_some(so_far)
     }
 
     /// Whether `next` is plausible as this estimate with a few more views. A newly rejected view,
@@ -96,7 +102,13 @@ struct EstimateOrigin {
 }
 
 impl EstimateSoFar {
-    fn of(estimate: &CameraEstimate, check: &ModelCheck, origin: EstimateOrigin) -> Self {
+    /// `start` is that of `estimate`, under the labels as detected.
+    fn of(
+        estimate: &CameraEstimate,
+        start: CameraStart,
+        check: &ModelCheck,
+        origin: EstimateOrigin,
+    ) -> Self {
         let uncertainty_px =
             uncertainty_over(&estimate.lens, &estimate.lens_covariance, estimate.image_size);
         let uncertainty_map = uncertainty_map(estimate, SHOWN_COLUMNS, Distance::Infinity);
@@ -111,7 +123,7 @@ impl EstimateSoFar {
                 views,
             },
             continuation: Some(Continuation {
-                start: estimate.to_start(),
+                start,
                 lens_std: estimate.lens_std(),
                 rms_px: estimate.rms_px,
                 rejected,
@@ -126,7 +138,9 @@ impl EstimateSoFar {
 }
 
 /// Estimates a camera from a session's views so far. `earlier` is from the newest estimate of the
-/// same session, made of the first of these views in the same order. If the lens model is to be
+/// same session, made of the first of these views in the same order. `board_symmetries` are those
+/// of [`crate::geometry::target::Target::symmetries`]: where there are several, views are labeled
+/// alike ([`RelabeledProblem::labeled_alike`]). If the lens model is to be
 /// chosen, it is chosen again each time the views have doubled: comparing all models takes ten
 /// times as long as a fit.
 ///
@@ -134,25 +148,46 @@ impl EstimateSoFar {
 /// As [`crate::estimation::camera::calibrate_camera`].
 pub fn estimate_so_far(
     problem: &CameraProblem,
+    board_symmetries: &[Pose],
     lens: LensChoice,
     earlier: Option<&Continuation>,
 ) -> Result<EstimateSoFar, EstimationError> {
     let views = problem.views.len();
     let earlier = earlier.filter(|earlier| !earlier.is_outgrown_by(views));
-    let continued =
-        earlier.filter(|_| views > LEAST_VIEWS).and_then(|earlier| earlier.continue_with(problem));
+    let continued = earlier
+        .filter(|_| views > LEAST_VIEWS)
+        .and_then(|earlier| earlier.continue_with(problem, board_symmetries));
     if let Some(continued) = continued {
         return Ok(continued);
     }
     let from_scratch = |lens: LensChoice, chosen_from_views: usize| {
         let options = CameraOptions { lens, ..CameraOptions::default() };
-        let (estimate, check) = calibrate_and_check(problem, &options)?;
         let origin = EstimateOrigin { from_scratch: true, chosen_from_views };
-        Ok(EstimateSoFar::of(&estimate, &check, origin))
+        estimated(problem, board_symmetries, &options, origin).map(|(_, so_far)| so_far)
     };
     // If only the fit is made anew, the lens model stays that of the earlier choice.
     let of_chosen = earlier.and_then(|kept| {
         from_scratch(LensChoice::Model(kept.start.lens.model()), kept.chosen_from_views).ok()
     });
     of_chosen.map_or_else(|| from_scratch(lens, views), Ok)
+}
+
+/// The estimate of `problem`, with its views labeled alike.
+fn estimated(
+    problem: &CameraProblem,
+    board_symmetries: &[Pose],
+    options: &CameraOptions,
+    origin: EstimateOrigin,
+) -> Result<(CameraEstimate, EstimateSoFar), EstimationError> {
+    let Some(labeled) = RelabeledProblem::labeled_alike(problem, board_symmetries, options) else {
+        let (estimate, check) = calibrate_and_check(problem, options)?;
+        let so_far = EstimateSoFar::of(&estimate, estimate.to_start(), &check, origin);
+        return Ok((estimate, so_far));
+    };
+    let start = options.start.as_ref().map(|start| labeled.start(start));
+    let options = CameraOptions { start, ..options.clone() };
+    let (estimate, check) = calibrate_and_check(&labeled.problem, &options)?;
+    let start = labeled.start_as_given(&estimate.to_start());
+    let so_far = EstimateSoFar::of(&estimate, start, &check, origin);
+    Ok((estimate, so_far))
 }

@@ -4,7 +4,6 @@
 use crate::calibration::result::{CalibratedView, ImageCalibration};
 use crate::detection::board_detection::{DetectedCorner, Detection, GridIndex};
 use crate::estimation::view_motion::read_out_time;
-use crate::geometry::board::BoardSize;
 use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
 
@@ -13,8 +12,8 @@ use crate::geometry::target::Target;
 ///
 /// `None` for a view without a pose, and where a rolling-shutter calibration does not contain the
 /// board's motion in this view: without the motion, the residuals would contradict the view's
-/// `rms_px`. The solve of a rig may have rotated the labels of a symmetric board by half a turn,
-/// and the view does not say so: the residuals are those of the labels that fit better.
+/// `rms_px`. The solve may have turned the labels of a symmetric board, and the view does not say
+/// so: the residuals are those of the labels that fit best.
 pub fn view_residuals(
     detection: &Detection,
     sensor: &ImageCalibration,
@@ -25,13 +24,15 @@ pub fn view_residuals(
         return None;
     }
     let model = ViewModel { sensor, view, target, camera_from_board: view.camera_from_board? };
-    let all = |is_rotated: bool| -> Option<Vec<[f64; 2]>> {
-        detection.corners.iter().map(|corner| model.residual(corner, is_rotated)).collect()
+    let all = |board_from_labels: &Pose| -> Option<Vec<[f64; 2]>> {
+        let corners = detection.corners.iter();
+        corners.map(|corner| model.residual(corner, board_from_labels)).collect()
     };
     let square =
         |residuals: &Vec<[f64; 2]>| -> f64 { residuals.iter().flatten().map(|r| r * r).sum() };
-    let either = [false, true].into_iter().filter_map(all);
-    either.min_by(|a, b| square(a).total_cmp(&square(b)))
+    let symmetries = target.symmetries();
+    let labelings = symmetries.iter().filter_map(all);
+    labelings.min_by(|a, b| square(a).total_cmp(&square(b)))
 }
 
 /// What predicts the corners of a view: lens, pose and motion, and the board's shape.
@@ -44,13 +45,10 @@ struct ViewModel<'a> {
 }
 
 impl ViewModel<'_> {
-    /// The residual of one corner, with its own label or the one half a turn away.
-    fn residual(&self, corner: &DetectedCorner, is_rotated: bool) -> Option<[f64; 2]> {
-        let BoardSize { cols, rows } = self.target.lattice();
+    /// The residual of one corner, with its label turned.
+    fn residual(&self, corner: &DetectedCorner, board_from_labels: &Pose) -> Option<[f64; 2]> {
         let GridIndex { col, row } = corner.index;
-        let rotated = (cols as i32 - 1 - col, rows as i32 - 1 - row);
-        let (col, row) = if is_rotated { rotated } else { (col, row) };
-        let nominal = self.target.corner_at(col, row)?;
+        let nominal = *board_from_labels * self.target.corner_at(col, row)?;
         let shape = self.sensor.board_shape.as_ref();
         let offset = shape.and_then(|shape| shape.offset_at(&nominal)).unwrap_or_default();
         let camera_from_board = self.camera_from_board_at(corner.pixel.y);

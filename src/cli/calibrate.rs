@@ -89,7 +89,7 @@ fn solve(
     options: &CameraOptions,
 ) -> Result<(), Failure> {
     check_given(&options.given, images.0.image_size)?;
-    let picked = args.choose.pick(images, options, args.output.is_json())?;
+    let picked = args.choose.pick(images, &target, options, args.output.is_json())?;
     let Some(((problem, others), options)) = picked else { return Ok(()) };
     let spinner = progress::spinner("solving");
     let observations = InstrumentObservations::of_views(Some(target), problem);

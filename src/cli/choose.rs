@@ -12,6 +12,8 @@ use crate::cli::{Failure, output};
 use crate::document::pose::PoseDocument;
 use crate::estimation::camera::{CameraEstimate, CameraOptions, calibrate_camera};
 use crate::estimation::problem::{CameraProblem, LensChoice};
+use crate::estimation::relabeled::RelabeledProblem;
+use crate::geometry::target::Target;
 
 /// Which images of many to take.
 #[derive(Debug, clap::Args)]
@@ -79,19 +81,23 @@ impl ChooseArgs {
         Ok(())
     }
 
-    /// The images to calibrate from, and the lens model; `None` if the order was printed instead.
+    /// The images of `target` to calibrate from, and the lens model; `None` if the order was printed
+    /// instead.
     ///
     /// # Errors
     /// When the images do not determine the lens, or stdout is closed.
     pub fn pick(
         &self,
         (problem, others): ViewsAndOthers,
+        target: &Target,
         options: &CameraOptions,
         json: bool,
     ) -> Result<Option<(ViewsAndOthers, CameraOptions)>, Failure> {
         if !self.is_asked() {
             return Ok(Some(((problem, others), options.clone())));
         }
+        let alike = RelabeledProblem::labeled_alike(&problem, &target.symmetries(), options);
+        let problem = alike.map_or(problem, |alike| alike.problem);
         let Some(count) = self.choose else {
             let solved = solve_views(&problem, options).map_err(Failure::failed)?;
             return print_order(&problem, &solved, json).map(|()| None);

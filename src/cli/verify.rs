@@ -21,6 +21,7 @@ use crate::cli::verify_scene::verify_scene;
 use crate::estimation::camera::{CameraEstimate, CameraOptions, CameraStart, calibrate_camera};
 use crate::estimation::measured_board::MeasuredBoard;
 use crate::estimation::problem::{CameraProblem, GivenParameter, LensChoice};
+use crate::estimation::relabeled::RelabeledProblem;
 use crate::estimation::student::student_deviations;
 use crate::estimation::uncertainty::Distance;
 use crate::geometry::pose::Pose;
@@ -66,6 +67,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     };
     let (problem, _) = gather(&args.search, target)?.finish()?;
     same_size(problem.image_size, &file, sensor)?;
+    let problem = labeled_as_calibrated(problem, &target, sensor);
     let (verified, fixed) = verify(sensor, &problem)?;
     let seen = fixed.views.iter().filter(|view| view.fault.is_none());
     let poses = seen.filter_map(|view| Some((view.name.clone(), view.camera_from_board?)));
@@ -84,6 +86,18 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         verified.reasons.push(reason.to_owned());
     }
     print(&verified, &file, args.json)
+}
+
+/// The views of a symmetric board with its corners labeled as the calibration measured them.
+fn labeled_as_calibrated(
+    problem: CameraProblem,
+    target: &Target,
+    sensor: &ImageCalibration,
+) -> CameraProblem {
+    let Some(board) = &sensor.board_shape else { return problem };
+    let options = as_calibrated(sensor, Some(board.clone()));
+    let labeled = RelabeledProblem::labeled_alike(&problem, &target.symmetries(), &options);
+    labeled.map_or(problem, |labeled| labeled.problem)
 }
 
 /// The result, and the views fitted with the calibrated lens.

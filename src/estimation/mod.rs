@@ -5,6 +5,7 @@
 //! | what is given, and whether it fits | [`problem`], [`given_range`], [`given_misfit`] |
 //! | one camera, lens and poses, from views of a board | [`camera`] |
 //! | several sensors fixed to each other | [`rig`], [`consistent_labels`] |
+//! | a symmetric board that views label from different ends | [`labels_by_shape`], [`relabeled`] |
 //! | a camera from one view of points in space | [`dlt`] |
 //! | the pose of a board, the lens known | [`board_pose`] |
 //! | a start without an initial guess | [`zhang`] (closed form), `start` |
@@ -36,6 +37,7 @@ pub mod given_range;
 pub mod interrupt;
 mod jackknife;
 mod joint;
+pub mod labels_by_shape;
 pub mod lens_choice;
 pub(crate) mod lens_pole;
 pub mod measured_board;
@@ -46,6 +48,7 @@ mod normal_probability;
 pub(crate) mod planar_pose;
 pub mod problem;
 mod refit;
+pub mod relabeled;
 pub mod rgbd;
 pub mod rig;
 pub(crate) mod robust;

@@ -20,7 +20,7 @@ impl SessionThread {
         let Some(view) = session.view(kept) else { return };
         let Some(board) = session.record().request.target.board() else { return };
         let seen = view.to_board_view(&board);
-        if let Some(drift) = watch.see(&seen, view.frame.image_size) {
+        if let Some(drift) = watch.see(&seen, &board.symmetries(), view.frame.image_size) {
             self.publish_drift(&drift);
         }
     }

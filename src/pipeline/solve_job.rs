@@ -15,6 +15,7 @@ use crate::estimation::camera::CameraOptions;
 use crate::estimation::interrupt::Interrupt;
 use crate::estimation::problem::{CameraProblem, LensChoice};
 use crate::geometry::pixel::ImageSize;
+use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
 use crate::pipeline::guarded::{CaughtPanic, guarded};
 
@@ -32,7 +33,12 @@ pub(super) struct EstimateJob {
 #[derive(Debug)]
 enum EstimateInput {
     /// The views of a board, and what the previous estimate left for this one.
-    Board(CameraProblem, Option<Box<Continuation>>),
+    Board {
+        problem: CameraProblem,
+        /// Of the board.
+        symmetries: Vec<Pose>,
+        continuation: Option<Box<Continuation>>,
+    },
     /// The key frames of a scene.
     Scene(Vec<SceneImage>),
 }
@@ -65,10 +71,11 @@ impl EstimateJob {
             place,
             lens: session.record().request.lens,
             input: match session.record().request.target {
-                CalibrationTarget::Board(board) => EstimateInput::Board(
-                    problem_of(part, &board),
-                    part.continuation().cloned().map(Box::new),
-                ),
+                CalibrationTarget::Board(board) => EstimateInput::Board {
+                    problem: problem_of(part, &board),
+                    symmetries: board.symmetries(),
+                    continuation: part.continuation().cloned().map(Box::new),
+                },
                 CalibrationTarget::Scene => {
                     let images = part.key_frames().iter().map(|key| key.image.clone());
                     EstimateInput::Scene(images.collect())
@@ -79,8 +86,9 @@ impl EstimateJob {
 
     pub(super) fn estimate(&self) -> Estimate {
         match &self.input {
-            EstimateInput::Board(problem, continuation) => {
-                Estimate::Board(self.of_board(problem, continuation.as_deref()).map(Box::new))
+            EstimateInput::Board { problem, symmetries, continuation } => {
+                let estimate = self.of_board(problem, symmetries, continuation.as_deref());
+                Estimate::Board(estimate.map(Box::new))
             }
             EstimateInput::Scene(images) => {
                 let so_far = guarded(|| scene_so_far(images, self.lens));
@@ -94,9 +102,10 @@ impl EstimateJob {
     fn of_board(
         &self,
         problem: &CameraProblem,
+        symmetries: &[Pose],
         continuation: Option<&Continuation>,
     ) -> Option<EstimateSoFar> {
-        match guarded(|| estimate_so_far(problem, self.lens, continuation)) {
+        match guarded(|| estimate_so_far(problem, symmetries, self.lens, continuation)) {
             Ok(Ok(estimate)) => {
                 let running = &estimate.running;
                 (running.uncertainty_px.worst.is_finite() && running.rms_px.is_finite())

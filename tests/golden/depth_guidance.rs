@@ -150,7 +150,7 @@ impl Shown {
             let views = part.views().iter().map(|view| view.to_board_view(&target)).collect();
             let problem = CameraProblem { image_size: self.rig.color.size, views };
             let lens = LensChoice::Model(LensModel::Brown);
-            let estimate = estimate_so_far(&problem, lens, part.continuation()).ok();
+            let estimate = estimate_so_far(&problem, &[], lens, part.continuation()).ok();
             open.extend(self.session.estimated(place, estimate));
         }
     }

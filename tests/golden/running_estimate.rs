@@ -16,7 +16,7 @@ fn walk(problem: &CameraProblem, lens: LensChoice) -> Vec<(CameraProblem, Option
     let estimates = (3..=problem.views.len()).map(|views| {
         let so_far = CameraProblem { views: problem.views[..views].to_vec(), ..problem.clone() };
         let continuation = newest.as_ref().and_then(|newest| newest.continuation.as_ref());
-        let estimate = estimate_so_far(&so_far, lens, continuation).ok();
+        let estimate = estimate_so_far(&so_far, &[], lens, continuation).ok();
         newest = estimate.clone().or_else(|| newest.take());
         (so_far, estimate)
     });

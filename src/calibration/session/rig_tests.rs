@@ -214,7 +214,7 @@ fn perform(session: &mut Session, actions: &[Action]) -> bool {
         let views = part.views().iter().map(|view| view.to_board_view(&target)).collect();
         let problem = CameraProblem { image_size: SIZE, views };
         let lens = LensChoice::Model(LensModel::Radial);
-        let estimate = estimate_so_far(&problem, lens, part.continuation()).ok();
+        let estimate = estimate_so_far(&problem, &[], lens, part.continuation()).ok();
         open.extend(session.estimated(place, estimate));
     }
     solves

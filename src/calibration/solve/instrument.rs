@@ -4,6 +4,7 @@
 use crate::calibration::result::{Calibration, Grade};
 use crate::calibration::solve::auxiliary_image_sensor::with_image_sensor;
 use crate::calibration::solve::cameras::solve_cameras;
+use crate::calibration::solve::labels_alike::labeled_alike;
 use crate::calibration::solve::observations::{CameraFrameSets, InstrumentObservations};
 use crate::calibration::solve::rgbd_calibration::with_depth;
 use crate::calibration::solve::solve_options::{
@@ -25,7 +26,7 @@ pub fn solve(
     observations: &InstrumentObservations,
     options: &SolveOptions,
 ) -> Result<Calibration, InstrumentError> {
-    let solved = solve_all(observations, options);
+    let solved = solve_all(&labeled_alike(observations, options), options);
     // If interrupted, a sensor may have been given up early: that is not a sensor that cannot be
     // calibrated.
     options.camera.interrupt.check()?;

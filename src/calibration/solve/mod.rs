@@ -9,6 +9,7 @@ pub mod depth_orientation;
 pub(in crate::calibration) mod disparity_meaning;
 pub mod factory_check;
 pub mod instrument;
+mod labels_alike;
 mod list_shift;
 pub mod observations;
 pub mod rgbd_calibration;

@@ -223,7 +223,8 @@ impl OperatedSession {
     fn estimated(&self, session: &Session, camera: usize) -> Option<EstimateSoFar> {
         let continuation = session.camera(camera).and_then(CameraPart::continuation).cloned();
         let lens = LensChoice::Model(self.lens.model());
-        estimate_so_far(&self.problem(session), lens, continuation.as_ref()).ok()
+        let symmetries = self.board.symmetries();
+        estimate_so_far(&self.problem(session), &symmetries, lens, continuation.as_ref()).ok()
     }
 
     /// The board's pose for the requested outline. It is derived from the outline in the image,
