@@ -69,6 +69,19 @@ fn a_webcam_with_a_board_that_has_no_first_corner() {
 }
 
 #[test]
+fn a_bent_board_whose_views_are_labeled_from_both_ends() {
+    // As 9x7, corners are counted from the same end in all photographs; as 7x9, four times from the
+    // other end.
+    let of = |board: &str| calibrate("pora", "board*.png", board, "20.5mm");
+    let (Some(alike), Some(from_both_ends)) = (of("9x7"), of("7x9")) else { return };
+    expect(&from_both_ends, 23, 1.01 * alike["rms_px"].as_f64().unwrap());
+    for parameter in ["fx", "fy", "cx", "cy"] {
+        let std = alike["lens_std"][parameter].as_f64().unwrap();
+        near(&from_both_ends, parameter, alike["lens"][parameter].as_f64().unwrap(), 0.1 * std);
+    }
+}
+
+#[test]
 fn a_compact_camera() {
     let Some(sensor) = calibrate("boofcv-sony-chess", "*.jpg", "4x6", "30mm") else { return };
     expect(&sensor, 13, 0.157);
