@@ -38,10 +38,20 @@ impl RelabeledProblem {
         }
         let flat = CameraOptions { measured_board: None, copies_count: true, ..options.clone() };
         let flat = calibrate_camera(problem, &flat.as_stated()).ok()?;
-        let chosen = labels_by_shape(problem, &flat, symmetries, options.measured_board.as_ref());
-        let turned = chosen.iter().any(|symmetry| *symmetry != 0);
-        let symmetry_of = |chosen: &usize| symmetries[*chosen];
-        turned.then(|| Self::of(problem, chosen.iter().map(symmetry_of).collect()))
+        let measured = options.measured_board.as_ref();
+        let chosen = labels_by_shape(problem, &flat, symmetries, measured);
+        if chosen.iter().all(|symmetry| *symmetry == 0) {
+            return None;
+        }
+        let labeled = Self::of(problem, chosen.iter().map(|chosen| symmetries[*chosen]).collect());
+        // The shape biases the lens of a flat board. Once most labels are right, it no longer does.
+        let start = options.start.as_ref().map(|start| labeled.start(start));
+        let uneven = CameraOptions { start, copies_count: true, ..options.clone() };
+        let Ok(uneven) = calibrate_camera(&labeled.problem, &uneven) else { return Some(labeled) };
+        let chosen = labels_by_shape(&labeled.problem, &uneven, symmetries, measured);
+        let both = labeled.board_from_labels.iter().zip(chosen);
+        let both = both.map(|(first, second)| *first * symmetries[second]).collect();
+        Some(Self::of(problem, both))
     }
 
     /// `problem` with the symmetry `board_from_labels` applied to each view, one per view.

@@ -59,27 +59,27 @@ const LEAST_EVIDENCE: f64 = 4.0 * 0.5 * 4.0 * 4.0;
 /// For each view of `problem`, the index into `board_from_labels` of the symmetry to apply: its
 /// corners are at `board_from_labels⁻¹ · point_in_board`, as in
 /// [`crate::estimation::consistent_labels`]. `board_from_labels` are the rotations that map the
-/// board's corners to themselves, the identity first. `flat` is the estimate with the board as
-/// stated and all rows read at once. With `measured`, labels become those of that board; without,
-/// most views keep theirs.
+/// board's corners to themselves, the identity first. `estimate` has the lens and the poses about
+/// which residuals are linear. With `measured`, labels become those of that board; without, most
+/// views keep theirs.
 ///
 /// A view keeps its labels unless the shape predicts it far better under others, and the shape is
 /// the largest of all errors.
 pub fn labels_by_shape(
     problem: &CameraProblem,
-    flat: &CameraEstimate,
+    estimate: &CameraEstimate,
     board_from_labels: &[Pose],
     measured: Option<&MeasuredBoard>,
 ) -> Vec<usize> {
     let as_they_are = vec![0; problem.views.len()];
     let lattice = Lattice::of(problem, board_from_labels);
-    let field = |(index, (view, estimate)): (usize, (&BoardView, &ViewEstimate))| {
-        ResidualField::of(index, view, estimate, flat, &lattice)
+    let field = |(index, (view, posed)): (usize, (&BoardView, &ViewEstimate))| {
+        ResidualField::of(index, view, posed, estimate, &lattice)
     };
-    let views = problem.views.iter().zip(&flat.views).enumerate();
+    let views = problem.views.iter().zip(&estimate.views).enumerate();
     let fields: Vec<ResidualField> = views.filter_map(field).collect();
     let good: Vec<&ResidualField> =
-        fields.iter().filter(|field| flat.views[field.view].fault.is_none()).collect();
+        fields.iter().filter(|field| estimate.views[field.view].fault.is_none()).collect();
     let step = good.len().div_ceil(MAX_VIEWS).max(1);
     let search = Search::new(&lattice, good.into_iter().step_by(step).collect());
     let shape = match measured {

@@ -43,18 +43,18 @@ impl ResidualField {
         index: usize,
         view: &BoardView,
         estimate: &ViewEstimate,
-        flat: &CameraEstimate,
+        camera: &CameraEstimate,
         lattice: &Lattice,
     ) -> Option<Self> {
         let camera_from_board = estimate.camera_from_board?;
         let rotation = camera_from_board.rotation_matrix();
-        let height_px = f64::from(flat.image_size.height);
+        let height_px = f64::from(camera.image_size.height);
         let mut corners = Vec::new();
-        for (seen, residual) in view.correspondences.iter().zip(&estimate.residuals_px) {
+        for seen in &view.correspondences {
             let point_in_camera = camera_from_board * seen.point_in_board;
             let Projection { pixel, by_point, by_parameters } =
-                flat.lens.project(&point_in_camera)?;
-            let inverse_std = seen.std_px.hypot(flat.noise_floor_px).recip();
+                camera.lens.project(&point_in_camera)?;
+            let inverse_std = seen.std_px.hypot(camera.noise_floor_px).recip();
             let from_center = point_in_camera.coords - camera_from_board.translation();
             // By the predicted row: times of measured rows contain the residuals, so that motion
             // would explain a part of any.
@@ -66,16 +66,17 @@ impl ResidualField {
             own.fixed_columns_mut::<6>(6).copy_from(&(of_pose * time));
             corners.push(CornerField {
                 corner: nearest_point(&lattice.points, &seen.point_in_board)?.1,
-                residual: Vector2::from(*residual) * inverse_std,
+                residual: (seen.pixel.to_vector() - pixel.to_vector()) * inverse_std,
                 by_offset: by_point * rotation * inverse_std,
                 by_lens: by_parameters * inverse_std,
                 own: own * inverse_std,
             });
         }
-        let enough = corners.len() >= LEAST_CORNERS;
-        let finite = corners.iter().all(|corner| corner.residual.iter().all(|r| r.is_finite()));
+        if corners.len() < LEAST_CORNERS {
+            return None;
+        }
         let mut field = Self { view: index, corners };
-        (enough && finite).then(|| field.project_own_out())?;
+        field.project_own_out();
         Some(field)
     }
 

@@ -11,7 +11,7 @@ pub(super) struct Shape {
     pub(super) offsets: Vec<Vector3<f64>>,
     /// 1 over their variances, with all else held.
     pub(super) weights: Vec<Matrix3<f64>>,
-    /// The lens, relative to that of the flat board.
+    /// The lens, relative to the estimate's.
     pub(super) lens: LensVector,
 }
 
