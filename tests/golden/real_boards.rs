@@ -103,6 +103,28 @@ fn assert_all_whole(folder: &str, count: usize, board: &str) {
 }
 
 #[test]
+fn a_corner_behind_the_plate_does_not_hide_the_board() {
+    let Some(folder) = shared_data("opencv-samples") else { return };
+    let mut detector = Detector::new(sample_board().size);
+    let original = decoded(&folder.join("right07.jpg"));
+    let at_once = DetectOptions::default();
+    let unchanged = detector.find_board(original.view(), &at_once).unwrap();
+    // What lies behind the plate's corner resembles a corner of a seventh line when the image is
+    // darkened.
+    for gamma in [1.0, 1.3, 1.6, 2.0] {
+        let darker = |&light: &u8| (255.0 * (f64::from(light) / 255.0).powf(gamma)).round() as u8;
+        let pixels = original.view().bytes().iter().map(darker).collect();
+        let image = GrayImage::from_pixels(640, 480, pixels).unwrap();
+        let found = detector.find_board(image.view(), &at_once);
+        let found = found.unwrap_or_else(|reason| panic!("{gamma}: {reason}"));
+        for (corner, same) in found.corners.iter().zip(&unchanged.corners) {
+            assert_eq!(corner.index, same.index);
+            assert!(corner.pixel.distance_px(same.pixel) < 0.2, "{gamma}: {corner:?}, {same:?}");
+        }
+    }
+}
+
+#[test]
 fn every_board_in_a_full_fisheye_is_found_whole() {
     assert_all_whole("boofcv-fisheye-chess", 26, "4x6");
 }

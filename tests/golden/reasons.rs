@@ -133,6 +133,57 @@ fn an_occluded_board_is_incomplete() {
     );
 }
 
+/// The image of `board` with its pixels changed by `paint`, given their column and row.
+fn painted(board: &Straight, paint: impl Fn(usize, usize, u8) -> u8) -> GrayImage {
+    let width = board.size.0;
+    let mut pixels = board.image().into_pixels();
+    for (at, pixel) in pixels.iter_mut().enumerate() {
+        *pixel = paint(at % width, at / width, *pixel);
+    }
+    GrayImage::from_pixels(width, board.size.1, pixels).unwrap()
+}
+
+#[test]
+fn a_corner_of_something_beyond_the_board_does_not_hide_it() {
+    // The squares end at row 204, where the next line of corners would be. The side between a dark
+    // and a bright square meets there the edge of something gray below the bright one.
+    for gray in [130, 140, 150] {
+        let beyond = painted(
+            &Straight::new(24.0),
+            |x, y, light| {
+                if y >= 204 && x >= 208 { gray } else { light }
+            },
+        );
+        for allow_partial in [false, true] {
+            let found =
+                search(&beyond, allow_partial).unwrap_or_else(|none| panic!("{gray}: {none}"));
+            assert_eq!((found.corners.len(), found.partial), (54, false), "{gray}");
+        }
+    }
+}
+
+#[test]
+fn a_single_corner_of_a_further_line_is_that_of_a_larger_board() {
+    // Corners are 22 px apart, from 72 to 248 and from 54 to 186: of the seventh line only one is
+    // left, whatever hides the others.
+    let larger = Straight { corners: (9, 7), ..Straight::new(22.0) };
+    for (corner, light) in [(72, 210), (72, 128), (160, 128), (160, 210), (248, 40), (248, 128)] {
+        for around in [10, 13, 16] {
+            let hidden = painted(&larger, |x, y, seen| {
+                if y >= 172 && x.abs_diff(corner) > around { light } else { seen }
+            });
+            for allow_partial in [false, true] {
+                let found = search(&hidden, allow_partial);
+                assert!(
+                    found.is_err(),
+                    "{corner}, {light}, {around}: {:?}",
+                    found.map(|f| f.corners.len())
+                );
+            }
+        }
+    }
+}
+
 #[test]
 fn an_image_too_small_for_the_board_says_so() {
     let reason = search(&GrayImage::filled(30, 20, 0), false).expect_err("too small");

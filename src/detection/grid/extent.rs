@@ -14,14 +14,17 @@ pub(in crate::detection) fn shorter(bounds: Bounds) -> u32 {
     bounds.width().min(bounds.height()) as u32
 }
 
+/// Whether `bounds` are as long and as wide as `board`.
+pub(in crate::detection) fn has_shape(bounds: Bounds, board: BoardSize) -> bool {
+    let (cols, rows) = (board.cols as i32, board.rows as i32);
+    let shape = (bounds.width(), bounds.height());
+    shape == (cols, rows) || shape == (rows, cols)
+}
+
 /// Whether `grid` is the whole of `board`: every corner, in its shape.
 pub(in crate::detection) fn is_whole(grid: &Grid, board: BoardSize) -> bool {
-    let (cols, rows) = (board.cols as i32, board.rows as i32);
-    let has_shape = |bounds: Bounds| {
-        let shape = (bounds.width(), bounds.height());
-        shape == (cols, rows) || shape == (rows, cols)
-    };
-    grid.members.len() == board.corner_count() && grid.bounds().is_some_and(has_shape)
+    grid.members.len() == board.corner_count()
+        && grid.bounds().is_some_and(|bounds| has_shape(bounds, board))
 }
 
 /// Whether a grid is larger than `board`, one spurious line allowed on each side.

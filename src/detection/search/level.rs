@@ -15,6 +15,7 @@ use crate::detection::vec2::Vec2;
 use crate::detection::verify::consistency::verify;
 use crate::detection::verify::ends::{SeenEnds, seen_ends};
 use crate::detection::verify::placement::{BoardPlacement, place};
+use crate::detection::verify::spurious::drop_spurious;
 use crate::geometry::board::BoardSize;
 
 /// The image to search.
@@ -211,6 +212,10 @@ impl LevelSearch {
             evidence.largest = grid.members.len();
             evidence.size = (longer(bounds), shorter(bounds));
         }
+        let bounds = match drop_spurious(probe, grid, bounds, board) {
+            true => grid.bounds().unwrap_or(bounds),
+            false => bounds,
+        };
         self.placed(scene, bounds)
     }
 

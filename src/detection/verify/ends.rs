@@ -15,6 +15,9 @@ use crate::detection::verify::placement::Ends;
 /// Chosen, not swept.
 const ENDED_OVER_CONTINUED: u32 = 3;
 
+/// Votes for an end from a pair of squares beyond which a margin is seen; beyond others it is 1.
+const MARGIN_VOTES: u32 = 2;
+
 /// The ends of the board that a grid shows.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::detection) struct SeenEnds {
@@ -25,6 +28,9 @@ pub(in crate::detection) struct SeenEnds {
     pub sure: Ends,
     /// Sides beyond which squares seem to continue alternating.
     pub goes_on: Ends,
+    /// Those of the sure ends along half of which a margin is seen: it is as bright as the bright
+    /// squares, or as dark as the dark ones, as few occluders are.
+    pub margins: Ends,
 }
 
 /// Which sides of `grid` are visible ends of the board.
@@ -44,7 +50,22 @@ pub(in crate::detection) fn seen_ends(probe: Probe<'_>, grid: &Grid, bounds: Bou
         possible: sides.map(|side| side.may_end(thresholds)),
         sure: sides.map(|side| side.must_end(thresholds)),
         goes_on: sides.map(|side| side.continued > side.ending),
+        margins: sides.map(|side| side.must_end(thresholds) && 2 * side.margins >= side.pairs),
     }
+}
+
+/// Whether the two squares outside the corner `at`, in the direction `outward`, vote for an end:
+/// what lies beyond them is uniform. `None` if they are not seen.
+pub(in crate::detection) fn ends_at(
+    probe: Probe<'_>,
+    grid: &Grid,
+    at: (i32, i32),
+    outward: (i32, i32),
+) -> Option<bool> {
+    let (i, j) = (outward.1.abs(), outward.0.abs());
+    let before = Outside::measure(probe, grid, (at.0 - i, at.1 - j), at, outward)?;
+    let after = Outside::measure(probe, grid, at, (at.0 + i, at.1 + j), outward)?;
+    Some(before.compare(&after, &probe.thresholds.ends).0 > 0)
 }
 
 /// Evidence from the pairs of neighboring squares outside a line of corners.
@@ -56,6 +77,8 @@ struct Side {
     ending: u32,
     continued: u32,
     pairs: u32,
+    /// Pairs that end at a margin.
+    margins: u32,
 }
 
 impl Side {
@@ -88,6 +111,7 @@ fn side(
             let (weight, goes_on) = p.compare(&q, &probe.thresholds.ends);
             side.ended += weight;
             side.ending += u32::from(weight > 0);
+            side.margins += u32::from(weight == MARGIN_VOTES);
             side.continued += u32::from(goes_on);
         }
         previous = outside;
@@ -151,7 +175,8 @@ impl Outside {
                 let as_margin = same(self, p) || same(next, q);
                 let alike = (p - q).abs() < thresholds.alike * contrast;
                 let goes_on = (q - p) * self.sign > thresholds.alternate * contrast;
-                (if !alike { 0 } else { 1 + u32::from(as_margin) }, goes_on)
+                let votes = if as_margin { MARGIN_VOTES } else { 1 };
+                (if alike { votes } else { 0 }, goes_on)
             }
             (Some(p), None) => (u32::from(same(self, p)), false),
             (None, Some(q)) => (u32::from(same(next, q)), false),
