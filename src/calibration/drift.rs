@@ -72,9 +72,15 @@ impl DriftWatch {
     }
 
     /// Adds a board seen in an image of `size`. Returns the drift once, when it exceeds the limit.
-    /// Of a board with several `symmetries`, a view may label its corners from another end than the
+    /// Of a board with several
+    /// symmetries `board_from_labels`, a view may label its corners from another end than the
     /// calibration: the labels that fit best count.
-    pub fn see(&mut self, view: &BoardView, symmetries: &[Pose], size: ImageSize) -> Option<Drift> {
+    pub fn see(
+        &mut self,
+        view: &BoardView,
+        board_from_labels: &[Pose],
+        size: ImageSize,
+    ) -> Option<Drift> {
         if self.reported {
             return None;
         }
@@ -86,11 +92,11 @@ impl DriftWatch {
             return Some(self.report(reason, None));
         }
         // A view that determines no pose shows nothing about the lens.
-        let of_labels = |symmetry: &Pose| {
-            let correspondences = relabeled(&view.correspondences, symmetry);
+        let of_labels = |board_from_labels: &Pose| {
+            let correspondences = relabeled(&view.correspondences, board_from_labels);
             self.misfit_px(BoardView { name: view.name.clone(), correspondences })
         };
-        let misfits_px = symmetries.iter().filter_map(of_labels);
+        let misfits_px = board_from_labels.iter().filter_map(of_labels);
         self.misfits_px.push(misfits_px.min_by(f64::total_cmp)?);
         if self.misfits_px.len() < MEDIAN_VIEWS {
             return None;
@@ -266,19 +272,19 @@ mod tests {
         }
         let lens = lens(600.0, -0.1);
         let far = Vector3::new(0.24, 0.15, 0.0);
-        let half_turn = Pose::from_axis_angle(Vector3::z() * std::f64::consts::PI, far);
-        let reports = |symmetries: &[Pose]| {
+        let half_rotation = Pose::from_axis_angle(Vector3::z() * std::f64::consts::PI, far);
+        let reports = |board_from_labels: &[Pose]| {
             let board_shape = Some(measured(&lens, stretched));
             let mut watch =
                 DriftWatch::new("c1", &ImageCalibration { board_shape, ..calibration(lens) });
             let seen = |k: usize| {
                 let view = uneven_view(&lens, k % 5, stretched);
-                let correspondences = relabeled(&view.correspondences, &half_turn);
-                watch.see(&BoardView { correspondences, ..view }, symmetries, SIZE)
+                let correspondences = relabeled(&view.correspondences, &half_rotation);
+                watch.see(&BoardView { correspondences, ..view }, board_from_labels, SIZE)
             };
             (0..8).filter_map(seen).count()
         };
-        assert_eq!(reports(&[Pose::identity(), half_turn]), 0);
+        assert_eq!(reports(&[Pose::identity(), half_rotation]), 0);
         assert_eq!(reports(&as_labeled()), 1, "with its labels as they are");
     }
 

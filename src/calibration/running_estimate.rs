@@ -68,14 +68,14 @@ impl Continuation {
     fn continue_with(
         &self,
         problem: &CameraProblem,
-        board_symmetries: &[Pose],
+        board_from_labels: &[Pose],
     ) -> Option<EstimateSoFar> {
         let lens = LensChoice::Model(self.start.lens.model());
         let options =
             CameraOptions { lens, start: Some(self.start.clone()), ..CameraOptions::default() };
         let origin =
             EstimateOrigin { from_scratch: false, chosen_from_views: self.chosen_from_views };
-        let (estimate, so_far) = estimated(problem, board_symmetries, &options, origin).ok()?;
+        let (estimate, so_far) = estimated(problem, board_from_labels, &options, origin).ok()?;
         self.is_continued_by(&estimate).then_some(so_far)
     }
 
@@ -138,7 +138,7 @@ impl EstimateSoFar {
 }
 
 /// Estimates a camera from a session's views so far. `earlier` is from the newest estimate of the
-/// same session, made of the first of these views in the same order. `board_symmetries` are those
+/// same session, made of the first of these views in the same order. `board_from_labels` are those
 /// of [`crate::geometry::target::Target::symmetries`]: where there are several, views are labeled
 /// alike ([`RelabeledProblem::labeled_alike`]). If the lens model is to be
 /// chosen, it is chosen again each time the views have doubled: comparing all models takes ten
@@ -148,7 +148,7 @@ impl EstimateSoFar {
 /// As [`crate::estimation::camera::calibrate_camera`].
 pub fn estimate_so_far(
     problem: &CameraProblem,
-    board_symmetries: &[Pose],
+    board_from_labels: &[Pose],
     lens: LensChoice,
     earlier: Option<&Continuation>,
 ) -> Result<EstimateSoFar, EstimationError> {
@@ -156,14 +156,14 @@ pub fn estimate_so_far(
     let earlier = earlier.filter(|earlier| !earlier.is_outgrown_by(views));
     let continued = earlier
         .filter(|_| views > LEAST_VIEWS)
-        .and_then(|earlier| earlier.continue_with(problem, board_symmetries));
+        .and_then(|earlier| earlier.continue_with(problem, board_from_labels));
     if let Some(continued) = continued {
         return Ok(continued);
     }
     let from_scratch = |lens: LensChoice, chosen_from_views: usize| {
         let options = CameraOptions { lens, ..CameraOptions::default() };
         let origin = EstimateOrigin { from_scratch: true, chosen_from_views };
-        estimated(problem, board_symmetries, &options, origin).map(|(_, so_far)| so_far)
+        estimated(problem, board_from_labels, &options, origin).map(|(_, so_far)| so_far)
     };
     // If only the fit is made anew, the lens model stays that of the earlier choice.
     let of_chosen = earlier.and_then(|kept| {
@@ -175,11 +175,11 @@ pub fn estimate_so_far(
 /// The estimate of `problem`, with its views labeled alike.
 fn estimated(
     problem: &CameraProblem,
-    board_symmetries: &[Pose],
+    board_from_labels: &[Pose],
     options: &CameraOptions,
     origin: EstimateOrigin,
 ) -> Result<(CameraEstimate, EstimateSoFar), EstimationError> {
-    let Some(labeled) = RelabeledProblem::labeled_alike(problem, board_symmetries, options) else {
+    let Some(labeled) = RelabeledProblem::labeled_alike(problem, board_from_labels, options) else {
         let (estimate, check) = calibrate_and_check(problem, options)?;
         let so_far = EstimateSoFar::of(&estimate, estimate.to_start(), &check, origin);
         return Ok((estimate, so_far));

@@ -12,7 +12,7 @@ use crate::geometry::target::Target;
 ///
 /// `None` for a view without a pose, and where a rolling-shutter calibration does not contain the
 /// board's motion in this view: without the motion, the residuals would contradict the view's
-/// `rms_px`. The solve may have turned the labels of a symmetric board, and the view does not say
+/// `rms_px`. The solve may have rotated the labels of a symmetric board, and the view does not say
 /// so: the residuals are those of the labels that fit best.
 pub fn view_residuals(
     detection: &Detection,
@@ -45,7 +45,7 @@ struct ViewModel<'a> {
 }
 
 impl ViewModel<'_> {
-    /// The residual of one corner, with its label turned.
+    /// The residual of one corner, with its label rotated.
     fn residual(&self, corner: &DetectedCorner, board_from_labels: &Pose) -> Option<[f64; 2]> {
         let GridIndex { col, row } = corner.index;
         let nominal = *board_from_labels * self.target.corner_at(col, row)?;

@@ -35,8 +35,8 @@ enum EstimateInput {
     /// The views of a board, and what the previous estimate left for this one.
     Board {
         problem: CameraProblem,
-        /// Of the board.
-        symmetries: Vec<Pose>,
+        /// The board's symmetries.
+        board_from_labels: Vec<Pose>,
         continuation: Option<Box<Continuation>>,
     },
     /// The key frames of a scene.
@@ -73,7 +73,7 @@ impl EstimateJob {
             input: match session.record().request.target {
                 CalibrationTarget::Board(board) => EstimateInput::Board {
                     problem: problem_of(part, &board),
-                    symmetries: board.symmetries(),
+                    board_from_labels: board.symmetries(),
                     continuation: part.continuation().cloned().map(Box::new),
                 },
                 CalibrationTarget::Scene => {
@@ -86,8 +86,8 @@ impl EstimateJob {
 
     pub(super) fn estimate(&self) -> Estimate {
         match &self.input {
-            EstimateInput::Board { problem, symmetries, continuation } => {
-                let estimate = self.of_board(problem, symmetries, continuation.as_deref());
+            EstimateInput::Board { problem, board_from_labels, continuation } => {
+                let estimate = self.of_board(problem, board_from_labels, continuation.as_deref());
                 Estimate::Board(estimate.map(Box::new))
             }
             EstimateInput::Scene(images) => {
@@ -102,10 +102,10 @@ impl EstimateJob {
     fn of_board(
         &self,
         problem: &CameraProblem,
-        symmetries: &[Pose],
+        board_from_labels: &[Pose],
         continuation: Option<&Continuation>,
     ) -> Option<EstimateSoFar> {
-        match guarded(|| estimate_so_far(problem, symmetries, self.lens, continuation)) {
+        match guarded(|| estimate_so_far(problem, board_from_labels, self.lens, continuation)) {
             Ok(Ok(estimate)) => {
                 let running = &estimate.running;
                 (running.uncertainty_px.worst.is_finite() && running.rms_px.is_finite())

@@ -18,14 +18,14 @@ use crate::seeded_camera::SeededCamera;
 /// none.
 fn walk(
     problem: &CameraProblem,
-    symmetries: &[Pose],
+    board_from_labels: &[Pose],
     lens: LensChoice,
 ) -> Vec<(CameraProblem, Option<EstimateSoFar>)> {
     let mut newest: Option<EstimateSoFar> = None;
     let estimates = (3..=problem.views.len()).map(|views| {
         let so_far = CameraProblem { views: problem.views[..views].to_vec(), ..problem.clone() };
         let continuation = newest.as_ref().and_then(|newest| newest.continuation.as_ref());
-        let estimate = estimate_so_far(&so_far, symmetries, lens, continuation).ok();
+        let estimate = estimate_so_far(&so_far, board_from_labels, lens, continuation).ok();
         newest = estimate.clone().or_else(|| newest.take());
         (so_far, estimate)
     });

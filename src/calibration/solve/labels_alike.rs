@@ -40,9 +40,9 @@ pub(super) fn labeled_alike<'a>(
 }
 
 /// Takes the labels of color from `alike`, view by view. Every other frame set gets those under
-/// which its corners are nearest to those of the nearest view: a board is not turned from one frame
+/// which its corners are nearest to those of the nearest view: a board is not rotated far from one frame
 /// to the next.
-fn relabel(camera: &mut CameraFrameSets, alike: &RelabeledProblem, symmetries: &[Pose]) {
+fn relabel(camera: &mut CameraFrameSets, alike: &RelabeledProblem, board_from_labels: &[Pose]) {
     let is_seen = |seen: &&ObservedFrameSet| !seen.corners(SensorKind::Color).is_empty();
     let numbers = camera.views().filter(is_seen).map(|seen| seen.number);
     let views = alike.problem.views.iter().map(|view| view.correspondences.as_slice());
@@ -59,7 +59,7 @@ fn relabel(camera: &mut CameraFrameSets, alike: &RelabeledProblem, symmetries: &
         }
         let nearest = views.iter().min_by_key(|(view, _)| view.abs_diff(number));
         let Some((_, nearest)) = nearest else { continue };
-        let labelings = symmetries.iter().map(|symmetry| relabeled(corners, symmetry));
+        let labelings = board_from_labels.iter().map(|symmetry| relabeled(corners, symmetry));
         let closest =
             labelings.min_by(|a, b| distance_px(a, nearest).total_cmp(&distance_px(b, nearest)));
         if let Some(closest) = closest {
@@ -73,8 +73,8 @@ fn distance_px(a: &[Correspondence], b: &[Correspondence]) -> f64 {
     let (mut sum, mut count) = (0.0, 0);
     for own in a {
         let nearest = b.iter().min_by(|x, y| {
-            let apart = |c: &Correspondence| (c.point_in_board - own.point_in_board).norm();
-            apart(x).total_cmp(&apart(y))
+            let distance_m = |c: &Correspondence| (c.point_in_board - own.point_in_board).norm();
+            distance_m(x).total_cmp(&distance_m(y))
         });
         if let Some(other) = nearest {
             sum += (own.pixel.to_vector() - other.pixel.to_vector()).norm();
@@ -120,7 +120,7 @@ mod tests {
             corners: vec![(SensorKind::Color, corners(&board, angle_rad))],
             depth: None,
         };
-        // The board is turned from 0 to 180 degrees. Labels change in the middle.
+        // The board is rotated from 0 to 180 degrees. Labels change in the middle.
         let angles = [0.0, 0.3, 1.2, 1.8, 2.6, PI];
         let is_view = [true, false, false, false, false, true];
         let frame_sets = (0..6).map(|k| frame_set(k, angles[k], is_view[k])).collect();

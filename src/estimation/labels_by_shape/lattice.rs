@@ -11,7 +11,7 @@ use crate::geometry::pose::Pose;
 const SAME_M: f64 = 1e-7;
 
 /// The board's corners, and what its symmetries do with them.
-pub(super) struct Lattice {
+pub(super) struct BoardLattice {
     pub(super) points: Vec<Point3<f64>>,
     pub(super) symmetries: Vec<Symmetry>,
 }
@@ -25,7 +25,7 @@ pub(super) struct Symmetry {
     pub(super) corner: Vec<usize>,
 }
 
-impl Lattice {
+impl BoardLattice {
     /// All corners that the views show, and those that the symmetries map them to.
     pub(super) fn of(problem: &CameraProblem, board_from_labels: &[Pose]) -> Self {
         let mut points: Vec<Point3<f64>> = Vec::new();
@@ -34,9 +34,9 @@ impl Lattice {
             if points.contains(&stated) {
                 continue;
             }
-            for turned in board_from_labels.iter().map(|turn| turn.inverse() * stated) {
-                if nearest_point(&points, &turned).is_none_or(|(distance, _)| distance > SAME_M) {
-                    points.push(turned);
+            for rotated in board_from_labels.iter().map(|symmetry| symmetry.inverse() * stated) {
+                if nearest_point(&points, &rotated).is_none_or(|(distance, _)| distance > SAME_M) {
+                    points.push(rotated);
                 }
             }
         }
@@ -69,10 +69,10 @@ impl Lattice {
     /// The symmetry by which `label` differs from `kept`.
     pub(super) fn relative(&self, label: usize, kept: usize) -> usize {
         let [label, kept] = [label, kept].map(|index| self.symmetries[index].board_from_labels);
-        let turned = label * kept.inverse();
+        let rotated = label * kept.inverse();
         let distances = self.symmetries.iter().map(|symmetry| {
-            let apart = turned.inverse() * symmetry.board_from_labels;
-            apart.rotation().angle() + apart.translation().norm()
+            let difference = rotated.inverse() * symmetry.board_from_labels;
+            difference.rotation().angle() + difference.translation().norm()
         });
         least(&distances.collect::<Vec<_>>())
     }

@@ -1,12 +1,12 @@
 //! Consistent labels of a symmetric board over the views of one camera. No image determines which
-//! end of such a board comes first, so a view in which the board was turned may count its corners
+//! end of such a board comes first, so a view in which the board was rotated may count its corners
 //! from another end. For a board exactly as stated this makes no difference. A real board is
 //! uneven: its shape, as the other views show it, predicts the residuals of a view under one
 //! labeling better than under the others.
 //!
 //! Residuals are linear in the offsets of the board's corners. What a pose and a motion during the
-//! readout explain is projected out of each view, since a rolling shutter's residuals turn with the
-//! image, not with the board. The shape is the posterior mean of independent Gaussian offsets, with
+//! readout explain is projected out of each view, since the residuals of a rolling shutter rotate with
+//! the image, not with the board. The shape is the posterior mean of independent Gaussian offsets, with
 //! the lens as the views show it under their labels: both are found by alternating between them
 //! (block coordinate descent).
 
@@ -18,10 +18,10 @@ mod shape;
 use nalgebra::{Matrix3, Vector3};
 
 use crate::estimation::camera_estimate::{CameraEstimate, ViewEstimate};
-use crate::estimation::labels_by_shape::lattice::{Lattice, least};
+use crate::estimation::labels_by_shape::lattice::{BoardLattice, least};
 use crate::estimation::labels_by_shape::lens_equations::LensEquations;
 use crate::estimation::labels_by_shape::residual_field::{CornerField, ResidualField};
-use crate::estimation::labels_by_shape::shape::{LensVector, Shape};
+use crate::estimation::labels_by_shape::shape::{CornerOffsets, LensVector};
 use crate::estimation::measured_board::MeasuredBoard;
 use crate::estimation::problem::{BoardView, CameraProblem};
 use crate::geometry::pose::Pose;
@@ -31,7 +31,7 @@ use crate::geometry::pose::Pose;
 const ALTERNATIONS: usize = 6;
 
 /// Offsets out of the board's plane may be this many times as large as those in the plane: a board
-/// bends more than its print errs. The choice is the same from 1 to 10 where it is certain.
+/// is less flat than its print is exact. The choice is the same from 1 to 10 where it is certain.
 const OUT_OF_PLANE: f64 = 3.0;
 
 /// The largest number of views, evenly spaced, that determine the shape. The labels of the others
@@ -52,7 +52,7 @@ const MOST_LEFT: f64 = 0.5;
 
 /// The least logarithm of the likelihood ratio between two labels of a view: four standard
 /// deviations, where the errors of four neighboring corners count as one. A sheet of paper that
-/// changed between photographs reached 9 without having been turned; views that were turned reach
+/// changed between photographs reached 9 without having been rotated; views that were rotated reach
 /// 34 and more.
 const LEAST_EVIDENCE: f64 = 4.0 * 0.5 * 4.0 * 4.0;
 
@@ -72,7 +72,7 @@ pub fn labels_by_shape(
     measured: Option<&MeasuredBoard>,
 ) -> Vec<usize> {
     let as_they_are = vec![0; problem.views.len()];
-    let lattice = Lattice::of(problem, board_from_labels);
+    let lattice = BoardLattice::of(problem, board_from_labels);
     let field = |(index, (view, posed)): (usize, (&BoardView, &ViewEstimate))| {
         ResidualField::of(index, view, posed, estimate, &lattice)
     };
@@ -81,9 +81,9 @@ pub fn labels_by_shape(
     let good: Vec<&ResidualField> =
         fields.iter().filter(|field| estimate.views[field.view].fault.is_none()).collect();
     let step = good.len().div_ceil(MAX_VIEWS).max(1);
-    let search = Search::new(&lattice, good.into_iter().step_by(step).collect());
+    let search = LabelSearch::new(&lattice, good.into_iter().step_by(step).collect());
     let shape = match measured {
-        Some(board) => Some(Shape::of(lattice.offsets_of(board))),
+        Some(board) => Some(CornerOffsets::of(lattice.offsets_of(board))),
         None => search.shape(),
     };
     let Some(shape) = shape else { return as_they_are };
@@ -105,8 +105,8 @@ pub fn labels_by_shape(
 }
 
 /// The search for labels under which the views agree on a shape.
-struct Search<'a> {
-    lattice: &'a Lattice,
+struct LabelSearch<'a> {
+    lattice: &'a BoardLattice,
     fields: Vec<&'a ResidualField>,
     /// 1 over the variances of an offset, in units of the residuals' variance.
     prior: Matrix3<f64>,
@@ -114,9 +114,9 @@ struct Search<'a> {
     lens: Option<LensEquations>,
 }
 
-impl<'a> Search<'a> {
+impl<'a> LabelSearch<'a> {
     /// The prior takes all residuals as offsets in the board's plane.
-    fn new(lattice: &'a Lattice, fields: Vec<&'a ResidualField>) -> Self {
+    fn new(lattice: &'a BoardLattice, fields: Vec<&'a ResidualField>) -> Self {
         let corners = || fields.iter().flat_map(|field| &field.corners);
         let in_plane = |corner: &CornerField| corner.by_offset.fixed_columns::<2>(0).norm_squared();
         let inverse = corners().map(in_plane).sum::<f64>() / (2 * corners().count().max(1)) as f64;
@@ -127,7 +127,7 @@ impl<'a> Search<'a> {
     }
 
     /// The shape under the labels that agree on it best; `None` where it leaves too much.
-    fn shape(&self) -> Option<Shape> {
+    fn shape(&self) -> Option<CornerOffsets> {
         let flat: f64 = self.fields.iter().map(|field| field.square()).sum();
         let step = self.fields.len().div_ceil(MAX_STARTS).max(1);
         let starts = (0..self.fields.len()).step_by(step).map(|first| self.started_from(first));
@@ -167,7 +167,7 @@ impl<'a> Search<'a> {
     }
 
     /// Predicts each view by the shape that the others show under `labels`.
-    fn predict(&self, labels: &[usize]) -> Prediction {
+    fn predict(&self, labels: &[usize]) -> ViewPrediction {
         let views = self.all(labels);
         let shape = self.fit(&views);
         let gradient = self.gradient(&views, &shape);
@@ -184,11 +184,11 @@ impl<'a> Search<'a> {
             }
             field.misfits(self.lattice, &of_others)
         };
-        Prediction { misfits: views.iter().map(of_view).collect() }
+        ViewPrediction { misfits: views.iter().map(of_view).collect() }
     }
 
     /// The posterior mean of the offsets from `views` with their labels.
-    fn fit(&self, views: &[(&ResidualField, usize)]) -> Shape {
+    fn fit(&self, views: &[(&ResidualField, usize)]) -> CornerOffsets {
         let corners = self.lattice.points.len();
         let mut weights = vec![self.prior; corners];
         for (field, label) in views {
@@ -200,7 +200,8 @@ impl<'a> Search<'a> {
         }
         let inverses: Vec<Matrix3<f64>> =
             weights.iter().map(|weight| weight.try_inverse().unwrap_or_default()).collect();
-        let mut shape = Shape { weights, ..Shape::of(vec![Vector3::zeros(); corners]) };
+        let mut shape =
+            CornerOffsets { weights, ..CornerOffsets::of(vec![Vector3::zeros(); corners]) };
         for _ in 0..ALTERNATIONS {
             let gradient = self.gradient(views, &shape);
             for ((offset, inverse), gradient) in
@@ -218,7 +219,11 @@ impl<'a> Search<'a> {
 
     /// The gradient of the logarithm of the posterior by the offsets, with the poses and motions of
     /// `views` at their best.
-    fn gradient(&self, views: &[(&ResidualField, usize)], shape: &Shape) -> Vec<Vector3<f64>> {
+    fn gradient(
+        &self,
+        views: &[(&ResidualField, usize)],
+        shape: &CornerOffsets,
+    ) -> Vec<Vector3<f64>> {
         let mut gradient: Vec<Vector3<f64>> =
             shape.offsets.iter().map(|offset| -self.prior * offset).collect();
         for (field, label) in views {
@@ -232,7 +237,11 @@ impl<'a> Search<'a> {
     }
 
     /// The same by the parameters of the lens.
-    fn lens_gradient(&self, views: &[(&ResidualField, usize)], shape: &Shape) -> LensVector {
+    fn lens_gradient(
+        &self,
+        views: &[(&ResidualField, usize)],
+        shape: &CornerOffsets,
+    ) -> LensVector {
         let of_view = |(field, label): &(&ResidualField, usize)| {
             let left = field.left(&self.lattice.symmetries[*label], shape);
             let corners = field.corners.iter().zip(left);
@@ -247,11 +256,11 @@ impl<'a> Search<'a> {
 }
 
 /// What remains of each view under the shape that the others show, by label.
-struct Prediction {
+struct ViewPrediction {
     misfits: Vec<Vec<f64>>,
 }
 
-impl Prediction {
+impl ViewPrediction {
     fn misfit(&self, labels: &[usize]) -> f64 {
         self.misfits.iter().zip(labels).map(|(misfits, label)| misfits[*label]).sum()
     }

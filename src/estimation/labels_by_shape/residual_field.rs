@@ -4,8 +4,8 @@
 use nalgebra::{DMatrix, Matrix2x3, SMatrix, SVector, Vector2};
 
 use crate::estimation::camera_estimate::{CameraEstimate, ViewEstimate};
-use crate::estimation::labels_by_shape::lattice::{Lattice, Symmetry, nearest_point};
-use crate::estimation::labels_by_shape::shape::Shape;
+use crate::estimation::labels_by_shape::lattice::{BoardLattice, Symmetry, nearest_point};
+use crate::estimation::labels_by_shape::shape::CornerOffsets;
 use crate::estimation::problem::BoardView;
 use crate::estimation::view_motion::read_out_time;
 use crate::geometry::lens::{MAX_PARAMETERS, Projection};
@@ -44,7 +44,7 @@ impl ResidualField {
         view: &BoardView,
         estimate: &ViewEstimate,
         camera: &CameraEstimate,
-        lattice: &Lattice,
+        lattice: &BoardLattice,
     ) -> Option<Self> {
         let camera_from_board = estimate.camera_from_board?;
         let rotation = camera_from_board.rotation_matrix();
@@ -101,7 +101,7 @@ impl ResidualField {
     }
 
     /// The residuals that `shape` leaves.
-    pub(super) fn left(&self, symmetry: &Symmetry, shape: &Shape) -> Vec<Vector2<f64>> {
+    pub(super) fn left(&self, symmetry: &Symmetry, shape: &CornerOffsets) -> Vec<Vector2<f64>> {
         let left = |seen: &CornerField| {
             let offset = symmetry.rotation * shape.offsets[symmetry.corner[seen.corner]];
             seen.residual - seen.by_offset * offset - seen.by_lens * shape.lens
@@ -117,12 +117,12 @@ impl ResidualField {
     }
 
     /// The sum of squares of the residuals that `shape` leaves.
-    fn misfit(&self, symmetry: &Symmetry, shape: &Shape) -> f64 {
+    fn misfit(&self, symmetry: &Symmetry, shape: &CornerOffsets) -> f64 {
         self.left(symmetry, shape).iter().map(Vector2::norm_squared).sum()
     }
 
     /// The same under each symmetry.
-    pub(super) fn misfits(&self, lattice: &Lattice, shape: &Shape) -> Vec<f64> {
+    pub(super) fn misfits(&self, lattice: &BoardLattice, shape: &CornerOffsets) -> Vec<f64> {
         lattice.symmetries.iter().map(|symmetry| self.misfit(symmetry, shape)).collect()
     }
 

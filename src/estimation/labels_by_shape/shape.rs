@@ -6,7 +6,7 @@ use crate::geometry::lens::MAX_PARAMETERS;
 
 /// The posterior of the offsets of the board's corners, and of the lens.
 #[derive(Clone)]
-pub(super) struct Shape {
+pub(super) struct CornerOffsets {
     /// In meters.
     pub(super) offsets: Vec<Vector3<f64>>,
     /// 1 over their variances, with all else held.
@@ -15,7 +15,7 @@ pub(super) struct Shape {
     pub(super) lens: LensVector,
 }
 
-impl Shape {
+impl CornerOffsets {
     /// Offsets that are known.
     pub(super) fn of(offsets: Vec<Vector3<f64>>) -> Self {
         Self { offsets, weights: Vec::new(), lens: LensVector::zeros() }

@@ -19,21 +19,21 @@ const NOISE_PX: f64 = 0.05;
 
 /// A board that is uneven by `unevenness_m` rms per axis, seen in `views` poses of any rotation
 /// about its normal, while it moves by `motion_m` rms per axis during the readout.
-struct World {
+struct RotatedBoard {
     board: Chessboard,
     views: usize,
     unevenness_m: f64,
     motion_m: f64,
 }
 
-impl World {
+impl RotatedBoard {
     fn of(cols: u32, rows: u32, views: usize, unevenness_m: f64) -> Self {
         let size = BoardSize::new(cols, rows).unwrap();
         let board = Chessboard::new(size, SQUARE_M).unwrap();
         Self { board, views, unevenness_m, motion_m: 0.0 }
     }
 
-    /// The views, with the symmetry by which each one's labels are turned.
+    /// The views, with the symmetry by which each one's labels are rotated.
     fn seen(&self, seed: u64) -> (CameraProblem, Vec<usize>, Vec<Vector3<f64>>) {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let stated = self.board.corners_in_board();
@@ -41,7 +41,7 @@ impl World {
         let offsets: Vec<Vector3<f64>> =
             stated.iter().map(|_| normal(&mut rng) * self.unevenness_m).collect();
         let symmetries = self.board.symmetries();
-        let (mut views, mut turned) = (Vec::new(), Vec::new());
+        let (mut views, mut rotated) = (Vec::new(), Vec::new());
         while views.len() < self.views {
             let tilt = normal(&mut rng) * 0.35;
             let roll = Vector3::z() * rng.random_range(-3.1..3.1);
@@ -73,9 +73,9 @@ impl World {
                 stated.iter().zip(&offsets).map(corner).collect();
             let Some(correspondences) = corners else { continue };
             views.push(BoardView { name: views.len().to_string(), correspondences });
-            turned.push(symmetry);
+            rotated.push(symmetry);
         }
-        (CameraProblem { image_size: SIZE, views }, turned, offsets)
+        (CameraProblem { image_size: SIZE, views }, rotated, offsets)
     }
 
     fn labels(&self, problem: &CameraProblem, measured: Option<&MeasuredBoard>) -> Vec<usize> {
@@ -99,14 +99,14 @@ fn options() -> CameraOptions {
 }
 
 /// How many views have the labels of most, after the chosen symmetries.
-fn alike(board: &Chessboard, turned: &[usize], chosen: &[usize]) -> usize {
+fn alike(board: &Chessboard, rotated: &[usize], chosen: &[usize]) -> usize {
     let symmetries = board.symmetries();
     let far = board.corners_in_board()[1];
-    // Labels are turned by `symmetries[turned]`, then back by `symmetries[chosen]`.
-    let corner = |(turned, chosen): (&usize, &usize)| {
-        symmetries[*chosen].inverse() * (symmetries[*turned] * far)
+    // Labels are rotated by `symmetries[rotated]`, then back by `symmetries[chosen]`.
+    let corner = |(rotated, chosen): (&usize, &usize)| {
+        symmetries[*chosen].inverse() * (symmetries[*rotated] * far)
     };
-    let corners: Vec<_> = turned.iter().zip(chosen).map(corner).collect();
+    let corners: Vec<_> = rotated.iter().zip(chosen).map(corner).collect();
     let same = |own: &nalgebra::Point3<f64>| {
         corners.iter().filter(|other| (*other - own).norm() < 1e-9).count()
     };
@@ -117,10 +117,10 @@ fn alike(board: &Chessboard, turned: &[usize], chosen: &[usize]) -> usize {
 fn views_of_an_uneven_board_are_labeled_alike() {
     for (cols, rows, views) in [(8, 6, 12), (9, 7, 5), (8, 6, 4), (7, 7, 12)] {
         for seed in 0..4 {
-            let world = World::of(cols, rows, views, 0.004 * SQUARE_M);
-            let (problem, turned, _) = world.seen(seed);
+            let world = RotatedBoard::of(cols, rows, views, 0.004 * SQUARE_M);
+            let (problem, rotated, _) = world.seen(seed);
             let chosen = world.labels(&problem, None);
-            assert_eq!(alike(&world.board, &turned, &chosen), views, "{cols}x{rows} seed {seed}");
+            assert_eq!(alike(&world.board, &rotated, &chosen), views, "{cols}x{rows} seed {seed}");
             let kept = chosen.iter().filter(|symmetry| **symmetry == 0).count();
             let groups = world.board.symmetries().len();
             assert!(kept * groups >= views, "most views keep their labels: {chosen:?}");
@@ -129,10 +129,10 @@ fn views_of_an_uneven_board_are_labeled_alike() {
 }
 
 #[test]
-fn neither_a_flat_board_nor_motion_turns_any_label() {
+fn neither_a_flat_board_nor_motion_changes_any_label() {
     for seed in 0..6 {
         for motion_m in [0.0, 0.001] {
-            let world = World { motion_m, ..World::of(8, 6, 12, 0.0) };
+            let world = RotatedBoard { motion_m, ..RotatedBoard::of(8, 6, 12, 0.0) };
             let (problem, ..) = world.seen(100 + seed);
             assert_eq!(world.labels(&problem, None), vec![0; 12], "seed {seed} {motion_m} m");
         }
@@ -142,17 +142,18 @@ fn neither_a_flat_board_nor_motion_turns_any_label() {
 #[test]
 fn motion_during_the_readout_does_not_hide_the_labels() {
     for seed in 0..4 {
-        let world = World { motion_m: 0.001, ..World::of(8, 6, 12, 0.004 * SQUARE_M) };
-        let (problem, turned, _) = world.seen(200 + seed);
+        let world =
+            RotatedBoard { motion_m: 0.001, ..RotatedBoard::of(8, 6, 12, 0.004 * SQUARE_M) };
+        let (problem, rotated, _) = world.seen(200 + seed);
         let chosen = world.labels(&problem, None);
-        assert_eq!(alike(&world.board, &turned, &chosen), 12, "seed {seed}");
+        assert_eq!(alike(&world.board, &rotated, &chosen), 12, "seed {seed}");
     }
 }
 
 #[test]
 fn labels_become_those_of_a_measured_board() {
-    let world = World::of(8, 6, 3, 0.004 * SQUARE_M);
-    let (problem, turned, offsets) = world.seen(7);
+    let world = RotatedBoard::of(8, 6, 3, 0.004 * SQUARE_M);
+    let (problem, rotated, offsets) = world.seen(7);
     let points = world.board.corners_in_board();
     let board = MeasuredBoard {
         std_m: vec![Vector3::repeat(1e-6); points.len()],
@@ -162,12 +163,12 @@ fn labels_become_those_of_a_measured_board() {
         unevenness_std_m: 1e-6,
         bow_m: [0.0; 2],
     };
-    assert_eq!(world.labels(&problem, Some(&board)), turned);
+    assert_eq!(world.labels(&problem, Some(&board)), rotated);
 }
 
 #[test]
 fn labels_as_detected_cost_precision_that_labels_alike_restore() {
-    let world = World::of(8, 6, 12, 0.01 * SQUARE_M);
+    let world = RotatedBoard::of(8, 6, 12, 0.01 * SQUARE_M);
     let (problem, ..) = world.seen(31);
     let symmetries = world.board.symmetries();
     let as_detected = calibrate_camera(&problem, &options()).unwrap();
@@ -177,7 +178,8 @@ fn labels_as_detected_cost_precision_that_labels_alike_restore() {
     assert!((estimate.lens.matrix.fx - 600.0).abs() < 3.0 * estimate.lens_std()[0]);
     // A start under the labels as given leads to the same estimate.
     let start = alike.start(&alike.start_as_given(&estimate.to_start()));
-    for (own, turned) in estimate.to_start().camera_from_board.iter().zip(start.camera_from_board) {
-        assert!((own.unwrap().translation() - turned.unwrap().translation()).norm() < 1e-12);
+    for (own, rotated) in estimate.to_start().camera_from_board.iter().zip(start.camera_from_board)
+    {
+        assert!((own.unwrap().translation() - rotated.unwrap().translation()).norm() < 1e-12);
     }
 }
