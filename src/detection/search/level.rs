@@ -51,6 +51,8 @@ pub(in crate::detection) struct LevelSearch {
     pub(in crate::detection) part: Grid,
     /// Its number of corners and its placement.
     pub(in crate::detection) best: Option<(usize, BoardPlacement)>,
+    /// The first grid that was the whole board and spurious corners beyond it, without these.
+    trimmed: Option<Grid>,
 }
 
 /// The result of verifying a grid.
@@ -71,6 +73,7 @@ impl LevelSearch {
     /// Starts with another image.
     pub(in crate::detection) fn forget(&mut self) {
         self.best = None;
+        self.trimmed = None;
     }
 
     /// Computes the response of one in `every` rows of `level`, and from it the candidates.
@@ -212,11 +215,24 @@ impl LevelSearch {
             evidence.largest = grid.members.len();
             evidence.size = (longer(bounds), shorter(bounds));
         }
-        let bounds = match drop_spurious(probe, grid, bounds, board) {
-            true => grid.bounds().unwrap_or(bounds),
-            false => bounds,
-        };
+        if self.trimmed.is_none() && grid.members.len() > board.corner_count() {
+            let mut trimmed = grid.clone();
+            self.trimmed = drop_spurious(probe, &mut trimmed, bounds, board).then_some(trimmed);
+        }
         self.placed(scene, bounds)
+    }
+
+    /// The board without spurious corners beyond it, for a search that found no whole board. Leaves
+    /// it in `part`.
+    pub(in crate::detection) fn without_spurious(
+        &mut self,
+        scene: &SearchScene<'_>,
+    ) -> Option<BoardPlacement> {
+        self.grid = self.trimmed.take()?;
+        let bounds = self.grid.bounds()?;
+        let GridOutcome::Whole(placement) = self.placed(scene, bounds) else { return None };
+        std::mem::swap(&mut self.grid, &mut self.part);
+        Some(placement)
     }
 
     /// What the verified grid, which lies within `bounds`, is of the board.

@@ -106,6 +106,11 @@ pub(in crate::detection) fn find<'b>(
             break;
         }
     }
+    if !evidence.too_large
+        && let Some(placement) = levels.without_spurious(&scene)
+    {
+        return Ok(FoundGrid { grid: &mut levels.part, placement, whole: true });
+    }
     match levels.best {
         Some((_, placement)) => Ok(FoundGrid { grid: &mut levels.part, placement, whole: false }),
         None => Err(no_board(&scene.level(coarsest), board, coarsest, &evidence)),
