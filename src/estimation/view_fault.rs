@@ -61,6 +61,18 @@ pub enum ViewFault {
         /// The largest residual of an inlier.
         limit_px: f64,
     },
+    /// Its corners do not fit the lens and the board that the other views show.
+    #[error(
+        "its corners are {rms_px:.2} px off by the lens and the board that the other {others} views show ({expected_px:.2} px expected): the image is mirrored or from another camera, or the board was bent or moved"
+    )]
+    LeftOutMisfit {
+        /// Root mean square of its residuals, in pixels.
+        rms_px: f64,
+        /// The same as expected from the noise and from the uncertainty of lens and board.
+        expected_px: f64,
+        /// Number of the other views.
+        others: usize,
+    },
     /// It fits best with a motion that is incompatible with the other views.
     #[error(
         "its corners imply {times:.1} times the board motion during readout that the other views predict, and do not fit even with that motion: the board was bent in this view, or the image is mirrored or from another camera"

@@ -272,6 +272,28 @@ fn a_mirrored_photograph_among_views_that_may_have_moved_is_named() {
     assert_eq!(named(views), [MIRRORED]);
 }
 
+/// Motion explains these views nearly as well as it explains the others, and a rolling shutter is
+/// reported in part without them: lens and board of the other views, read at once, rule them out.
+#[test]
+fn a_view_that_only_motion_would_explain_is_named() {
+    const ODD: usize = 12;
+    let (Some(paths), Some(of_other_camera)) = (sample_paths("right"), sample_paths("left")) else {
+        return;
+    };
+    let (board, size) = (sample_board(), ImageSize::new(640, 480));
+    let views = views_of(&paths, board, size);
+    assert_eq!(named(views.clone()), [0; 0]);
+    let mut mirrored = decoded(&paths[ODD]);
+    mirrored.pixels_mut().chunks_mut(640).for_each(<[u8]>::reverse);
+    for image in [mirrored, decoded(&of_other_camera[ODD])] {
+        let options = DetectOptions { allow_partial: false };
+        let detection = Detector::new(board.size).find_board(image.view(), &options).unwrap();
+        let mut views = views.clone();
+        views[ODD] = view_of(detection, &paths[ODD], board, size);
+        assert_eq!(named(views), [ODD]);
+    }
+}
+
 /// The views that are not used.
 fn named(views: Vec<BoardView>) -> Vec<usize> {
     let views = solved(views).estimate.views;

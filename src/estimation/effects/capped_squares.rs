@@ -4,6 +4,10 @@
 use crate::estimation::robust_fit::LIMIT;
 use crate::estimation::student::normal_deviations_of_ratio;
 
+/// From this many standard deviations on, the residuals of a view are an exception, and the view is
+/// tested. Chosen, not swept: the test itself requires more.
+const EXCEPTION_STDS: f64 = 2.0;
+
 /// The sum of the squared residuals of all corners of some views, each capped at the square of the
 /// limit from which on a corner is rejected: a single corner is no more than an outlier.
 #[derive(Debug, Clone, Copy, Default)]
@@ -36,6 +40,14 @@ impl CappedSquares {
     /// The mean of a corner; 2 of noise alone.
     pub(super) fn mean(&self) -> f64 {
         self.sum / self.corners.max(1.0)
+    }
+
+    /// Whether they exceed those of each of some other views by [`EXCEPTION_STDS`].
+    pub(super) fn exceed_each(&self, mut others: impl Iterator<Item = Self>) -> bool {
+        others.all(|other| {
+            let freedoms = [self, &other].map(|squares| 2.0 * squares.corners);
+            normal_deviations_of_ratio(self.mean() / other.mean(), freedoms) >= EXCEPTION_STDS
+        })
     }
 
     /// By how much they exceed noise with the same rate of outliers as `others`, as standard

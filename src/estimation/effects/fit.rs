@@ -206,7 +206,7 @@ impl SearchStart<'_> {
         match self.without_outliers(&residuals, chosen, (scene, candidates, width)) {
             Some(rest) => Some(rest),
             None => {
-                self.without_odd_motion(comparison, residuals, chosen, (scene, candidates, width))
+                self.without_incompatible(comparison, residuals, chosen, (scene, candidates, width))
             }
         }
     }
@@ -258,10 +258,9 @@ impl SearchStart<'_> {
         Some(rest)
     }
 
-    /// `comparison`, without views whose motion is incompatible with that of the others. They are
-    /// tested one at a time: each time the one with the largest `residuals` in the fit without
-    /// motion.
-    fn without_odd_motion(
+    /// `comparison`, without views that are incompatible with what the others show. They are tested
+    /// one at a time: each time the one with the largest `residuals` in the fit without motion.
+    fn without_incompatible(
         &self,
         mut comparison: ShutterComparison,
         mut residuals: Vec<Vec<[f64; 2]>>,
@@ -269,35 +268,44 @@ impl SearchStart<'_> {
         (scene, candidates, width): (Scene<'_>, CandidateEffects, f64),
     ) -> Option<ShutterComparison> {
         let mut good = scene.good.to_vec();
-        // Effects that were found with a view of odd motion are biased by it, so each search starts
+        // Effects that were found with an incompatible view are biased by it, so each search starts
         // from scratch.
         let fresh = SearchStart { found: None, ..*self };
         for _ in 0..scene.good.len() / FEW_PART {
             let scene = Scene { good: &good, ..scene };
             let scale = scale_of(&chosen.observations, &residuals).max(ROUNDING);
-            let mean_square =
-                |view: usize| CappedSquares::of([residuals[view].as_slice()], scale * scale).mean();
-            let worst = |a: &usize, b: &usize| mean_square(*a).total_cmp(&mean_square(*b));
+            let squares =
+                |view: &usize| CappedSquares::of([residuals[*view].as_slice()], scale * scale);
+            let worst = |a: &usize, b: &usize| squares(a).mean().total_cmp(&squares(b).mean());
             let Some(view) = good.iter().copied().max_by(worst) else { break };
+            let others: Vec<usize> = good.iter().copied().filter(|other| *other != view).collect();
             let noise_square = comparison.search.noise_square(scene)?;
-            if comparison.search.fits_as_others(&good, view, noise_square) {
+            let fits = comparison.search.fits_as_others(&good, view, noise_square);
+            if fits && !squares(&view).exceed_each(others.iter().map(squares)) {
                 break;
             }
-            let others: Vec<usize> = good.iter().copied().filter(|other| *other != view).collect();
             let without = Scene { good: &others, ..scene };
             let rest = fresh.converged_or_without_effects(without, candidates);
-            let odd = rest.and_then(|rest| rest.odd_motion(scene, view));
-            let Some(times) = odd else { break };
+            let Some(motion) = rest.and_then(|rest| rest.compared_motion(scene, view)) else {
+                break;
+            };
+            if !motion.is_odd && motion.fits {
+                break;
+            }
             // Where the other views show no effect at all, there is no fit with effects to continue
             // from.
             let Some(next) = fresh.shutter_comparison(without, candidates, width) else { break };
+            let Some(fault) = next.left_out_fault(scene, view).or_else(|| motion.fault(fits))
+            else {
+                break;
+            };
             let at_rest = fresh.global_shutter_residuals(&next, (without, candidates));
             if next.search.variances.0.is_empty() {
                 break;
             }
             comparison = next;
             chosen.observations[view].used.fill(false);
-            chosen.faults[view] = Some(ViewFault::OddMotion { times });
+            chosen.faults[view] = Some(fault);
             let Some(at_rest) = at_rest.filter(|_| comparison.search.moves()) else { break };
             residuals = at_rest;
             good = others;
@@ -362,6 +370,22 @@ struct ShutterComparison {
 }
 
 impl ShutterComparison {
+    /// The fault of `view`, which is not among those of this comparison. `None` unless these leave
+    /// a global shutter possible, and the view does not fit with one.
+    fn left_out_fault(&self, scene: Scene<'_>, view: usize) -> Option<ViewFault> {
+        let global_shutter = &self.without.as_ref()?.global_shutter;
+        if !global_shutter.variances.0.is_empty() {
+            return global_shutter.left_out_fault(scene, view);
+        }
+        // Without effects, the search is still at the minimum of all views.
+        let others: Vec<usize> =
+            scene.good.iter().copied().filter(|other| *other != view).collect();
+        let without = Scene { good: &others, ..scene };
+        EffectSearch::without_effects(without, global_shutter.state.fixed.clone())?
+            .reconverged(without)?
+            .left_out_fault(scene, view)
+    }
+
     /// `search`, or the `global_shutter` one where none of its motion is beyond chance.
     fn of(
         search: EffectSearch,

@@ -40,6 +40,7 @@ pub(crate) mod fit;
 mod influence;
 #[cfg(test)]
 mod jacobian_tests;
+mod left_out;
 pub(crate) mod lens_score;
 mod measured;
 mod odd_motion;

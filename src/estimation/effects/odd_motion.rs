@@ -10,6 +10,7 @@ use crate::estimation::effects::capped_squares::CappedSquares;
 use crate::estimation::effects::search::EffectSearch;
 use crate::estimation::effects::state::Scene;
 use crate::estimation::student::normal_deviations_of_ratio;
+use crate::estimation::view_fault::ViewFault;
 
 /// Added to P − V, as a part of P. For a component that the data do not determine P and V are
 /// equal, and their difference is rounding. Not swept.
@@ -26,10 +27,29 @@ const FITTING_STDS: f64 = 2.0;
 /// Parameters that are fitted to one view: six of its pose, six of its motion.
 const VIEW_PARAMETERS: f64 = 12.0;
 
+/// The motion of a view, compared with that of the other views.
+pub(super) struct ComparedMotion {
+    /// Its size, relative to that of the other views.
+    pub(super) times: f64,
+    /// Whether it is significantly larger than theirs.
+    pub(super) is_odd: bool,
+    /// Whether the corners of the view fit with it: those of a board that merely moved fast do.
+    pub(super) fits: bool,
+}
+
+impl ComparedMotion {
+    /// The fault of the view: a motion that is odd, with which its corners do not fit either.
+    /// `fits_in_all`: they fit in the fit of all views ([`EffectSearch::fits_as_others`]).
+    pub(super) fn fault(&self, fits_in_all: bool) -> Option<ViewFault> {
+        let incompatible = self.is_odd && !self.fits && !fits_in_all;
+        incompatible.then_some(ViewFault::OddMotion { times: self.times })
+    }
+}
+
 impl EffectSearch {
     /// Whether the corners of `view` fit as those of the other views do, at this minimum of all of
-    /// them. Then [`Self::odd_motion`] need not be asked: with the variance that the others alone
-    /// have, its motion would be held closer to theirs, and explain less of its residuals.
+    /// them. With the variance that the others alone have, as in [`Self::compared_motion`], its
+    /// motion would be held closer to theirs, and explain less of its residuals.
     pub(super) fn fits_as_others(&self, good: &[usize], view: usize, noise_square: f64) -> bool {
         let residuals = |view: usize| self.system.residuals[view].as_slice();
         let others = good.iter().filter(|other| **other != view).map(|other| residuals(*other));
@@ -38,16 +58,14 @@ impl EffectSearch {
         misfit.excess_over(&of_others, VIEW_PARAMETERS) < FITTING_STDS
     }
 
-    /// The motion of `view` in `scene`, relative to that of the other views. `None` unless it is
-    /// significantly larger than theirs and the corners of the view do not fit even so: the corners
-    /// of a board that merely moved fast do fit. `None` also where the other views do not move.
+    /// The motion of `view` in `scene`. `None` where the other views do not move.
     /// `self` is the converged search of all other views; with the view among them, its motion
     /// would raise the variance that it is tested against.
     ///
     /// Under a prior of variance P, the posterior mean m of a motion has variance P − V, where V is
     /// the posterior variance. So mᵀ (P − V)⁻¹ m is χ² with as many degrees of freedom as the
     /// motion has components, and Fisher's F where P itself is estimated.
-    pub(super) fn odd_motion(self, scene: Scene<'_>, view: usize) -> Option<f64> {
+    pub(super) fn compared_motion(self, scene: Scene<'_>, view: usize) -> Option<ComparedMotion> {
         if !self.moves() {
             return None;
         }
@@ -97,6 +115,10 @@ impl EffectSearch {
         let of_others = CappedSquares::of(of_others, noise_square);
         let misfit = CappedSquares::of([residuals(view)], noise_square);
         let misfit = misfit.excess_over(&of_others, VIEW_PARAMETERS);
-        (deviations >= ODD_STDS && misfit >= ODD_STDS).then_some(ratio.sqrt())
+        Some(ComparedMotion {
+            times: ratio.sqrt(),
+            is_odd: deviations >= ODD_STDS,
+            fits: misfit < ODD_STDS,
+        })
     }
 }

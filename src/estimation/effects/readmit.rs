@@ -48,6 +48,13 @@ impl EffectSearch {
     /// in this decision, since the other views' variance is that of slower motions; the variance
     /// only regularizes the fit.
     fn explained(&self, scene: Scene<'_>, limit: f64) -> Option<EffectsState> {
+        let (state, system) = self.placed(scene)?;
+        is_explained(&system.residuals[scene.good[0]], limit).then_some(state)
+    }
+
+    /// The state with the pose and the motion that fit the one view of `scene` best, with lens and
+    /// shape fixed, and the equations there.
+    pub(super) fn placed(&self, scene: Scene<'_>) -> Option<(EffectsState, System)> {
         let globals = DVector::zeros(scene.global_len());
         let mut state = self.state.clone();
         let mut system = System::at(scene, &state)?;
@@ -69,6 +76,6 @@ impl EffectSearch {
             )?;
             system = System::at(scene, &state)?;
         }
-        is_explained(&system.residuals[scene.good[0]], limit).then_some(state)
+        Some((state, system))
     }
 }
