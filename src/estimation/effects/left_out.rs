@@ -26,7 +26,7 @@ const MISFIT_STDS: f64 = 3.5;
 const COMPARED_VIEWS: usize = 3;
 
 /// One view's equations of the globals, with pose and motion eliminated.
-struct ViewEquations {
+struct LeftOutEquations {
     /// Sum of squares, including that of the motion in units of its prior.
     cost: f64,
     gradient: DVector<f64>,
@@ -36,13 +36,13 @@ struct ViewEquations {
 }
 
 /// How far a view is from what the other views show.
-struct Misfit {
+struct LeftOutMisfit {
     /// Its sum of squares.
     square: f64,
     freedom: f64,
 }
 
-impl Misfit {
+impl LeftOutMisfit {
     /// By how much it exceeds another misfit, as standard deviations of a normal distribution.
     fn excess_over(&self, other: &Self) -> f64 {
         let ratio = self.square / self.freedom / (other.square / other.freedom);
@@ -89,7 +89,11 @@ impl EffectSearch {
     }
 
     /// The misfits of the views of `scene` with the largest residuals, each by the others.
-    fn misfits_of_worst(&self, scene: Scene<'_>, covariance: &DMatrix<f64>) -> Option<Vec<Misfit>> {
+    fn misfits_of_worst(
+        &self,
+        scene: Scene<'_>,
+        covariance: &DMatrix<f64>,
+    ) -> Option<Vec<LeftOutMisfit>> {
         let mean_square = |view: &usize| {
             let used = self.system.residuals[*view]
                 .iter()
@@ -117,9 +121,9 @@ impl EffectSearch {
         scene: Scene<'_>,
         state: &EffectsState,
         system: &System,
-    ) -> Option<ViewEquations> {
+    ) -> Option<LeftOutEquations> {
         let view = system.views.first()?;
-        let mut equations = ViewEquations {
+        let mut equations = LeftOutEquations {
             cost: system.cost - view.pose_decrease(),
             gradient: system.gradient.clone(),
             // The system has the lower triangle only.
@@ -142,17 +146,17 @@ impl EffectSearch {
     }
 }
 
-impl ViewEquations {
+impl LeftOutEquations {
     /// The misfit where the other views alone have the covariance `of_others`.
-    fn added_to(&self, of_others: &DMatrix<f64>) -> Option<Misfit> {
+    fn added_to(&self, of_others: &DMatrix<f64>) -> Option<LeftOutMisfit> {
         let step = self.solved(of_others, 1.0)?;
-        Some(Misfit { square: self.cost - self.gradient.dot(&step), freedom: self.freedom })
+        Some(LeftOutMisfit { square: self.cost - self.gradient.dot(&step), freedom: self.freedom })
     }
 
     /// The misfit where all views, this one among them, have the covariance `of_all`.
-    fn taken_from(&self, of_all: &DMatrix<f64>) -> Option<Misfit> {
+    fn taken_from(&self, of_all: &DMatrix<f64>) -> Option<LeftOutMisfit> {
         let step = self.solved(of_all, -1.0)?;
-        Some(Misfit { square: self.cost + self.gradient.dot(&step), freedom: self.freedom })
+        Some(LeftOutMisfit { square: self.cost + self.gradient.dot(&step), freedom: self.freedom })
     }
 
     /// (C⁻¹ + `sign` A)⁻¹ g, without computing C⁻¹.
@@ -172,9 +176,9 @@ mod tests {
         information: &DMatrix<f64>,
         minimum: &DVector<f64>,
         least: f64,
-    ) -> ViewEquations {
+    ) -> LeftOutEquations {
         let gradient = information * (x - minimum);
-        ViewEquations {
+        LeftOutEquations {
             cost: least + gradient.dot(&(x - minimum)),
             gradient,
             information: information.clone(),
