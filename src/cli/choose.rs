@@ -81,8 +81,8 @@ impl ChooseArgs {
         Ok(())
     }
 
-    /// The images of `target` to calibrate from, and the lens model; `None` if the order was printed
-    /// instead.
+    /// The images of `target` to calibrate from, and the lens model; `None` if the order was
+    /// printed instead.
     ///
     /// # Errors
     /// When the images do not determine the lens, or stdout is closed.

@@ -95,14 +95,15 @@ fn agreed(
 
 /// The symmetry under which a pose is nearest to the expected one.
 #[derive(Debug, Clone, Copy)]
-struct NearestLabels {
+pub(crate) struct NearestLabels {
     /// The index of the symmetry.
-    symmetry: usize,
+    pub(crate) symmetry: usize,
     /// The distance from the expected pose, in radians plus meters.
     distance: f64,
 }
 
-fn nearest_symmetry(
+/// The symmetry under which `sensor_from_board` is nearest to the expected pose.
+pub(crate) fn nearest_symmetry(
     sensor_from_board: &Pose,
     expected_from_board: &Pose,
     board_from_labels: &[Pose],

@@ -164,8 +164,8 @@ fn a_corner_of_something_beyond_the_board_does_not_hide_it() {
 
 #[test]
 fn a_single_corner_of_a_further_line_is_that_of_a_larger_board() {
-    // Corners with a spacing of 22 px, from 72 to 248 and from 54 to 186: of the seventh line one is
-    // left, whatever hides the others.
+    // Corners with a spacing of 22 px, from 72 to 248 and from 54 to 186: of the seventh line one
+    // is left, whatever hides the others.
     let larger = Straight { corners: (9, 7), ..Straight::new(22.0) };
     for (corner, light) in [(72, 210), (72, 128), (160, 128), (160, 210), (248, 40), (248, 128)] {
         for around in [10, 13, 16] {

@@ -40,8 +40,8 @@ pub(super) fn labeled_alike<'a>(
 }
 
 /// Takes the labels of color from `alike`, view by view. Every other frame set gets those under
-/// which its corners are nearest to those of the nearest view: a board is not rotated far from one frame
-/// to the next.
+/// which its corners are nearest to those of the nearest view: between neighboring frames, a board
+/// is not rotated far.
 fn relabel(camera: &mut CameraFrameSets, alike: &RelabeledProblem, board_from_labels: &[Pose]) {
     let is_seen = |seen: &&ObservedFrameSet| !seen.corners(SensorKind::Color).is_empty();
     let numbers = camera.views().filter(is_seen).map(|seen| seen.number);

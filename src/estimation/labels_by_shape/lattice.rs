@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
+use crate::estimation::consistent_labels::nearest_symmetry;
 use crate::estimation::measured_board::MeasuredBoard;
 use crate::estimation::problem::CameraProblem;
 use crate::geometry::pose::Pose;
@@ -13,13 +14,14 @@ const SAME_M: f64 = 1e-7;
 /// The board's corners, and what its symmetries do with them.
 pub(super) struct BoardLattice {
     pub(super) points: Vec<Point3<f64>>,
+    board_from_labels: Vec<Pose>,
+    /// One for each of `board_from_labels`.
     pub(super) symmetries: Vec<Symmetry>,
 }
 
 /// One symmetry.
 pub(super) struct Symmetry {
-    board_from_labels: Pose,
-    /// Of `board_from_labels`.
+    /// Of its `board_from_labels`.
     pub(super) rotation: Matrix3<f64>,
     /// By corner as labeled: the corner that it is.
     pub(super) corner: Vec<usize>,
@@ -45,13 +47,12 @@ impl BoardLattice {
             let corner =
                 |point: &Point3<f64>| nearest_point(&points, &(labels_from_board * *point));
             Symmetry {
-                board_from_labels: *board_from_labels,
                 rotation: board_from_labels.rotation_matrix(),
                 corner: points.iter().map(|point| corner(point).map_or(0, |(_, at)| at)).collect(),
             }
         };
         let symmetries = board_from_labels.iter().map(symmetry).collect();
-        Self { points, symmetries }
+        Self { points, board_from_labels: board_from_labels.to_vec(), symmetries }
     }
 
     /// The measured offsets of its corners; zero where one was not measured.
@@ -68,13 +69,9 @@ impl BoardLattice {
 
     /// The symmetry by which `label` differs from `kept`.
     pub(super) fn relative(&self, label: usize, kept: usize) -> usize {
-        let [label, kept] = [label, kept].map(|index| self.symmetries[index].board_from_labels);
-        let rotated = label * kept.inverse();
-        let distances = self.symmetries.iter().map(|symmetry| {
-            let difference = rotated.inverse() * symmetry.board_from_labels;
-            difference.rotation().angle() + difference.translation().norm()
-        });
-        least(&distances.collect::<Vec<_>>())
+        let [label, kept] = [label, kept].map(|index| self.board_from_labels[index]);
+        nearest_symmetry(&Pose::identity(), &(label * kept.inverse()), &self.board_from_labels)
+            .symmetry
     }
 }
 
