@@ -8,7 +8,7 @@ use crate::estimation::effects::apply::with_effects;
 use crate::estimation::joint::BoardObservation;
 use crate::estimation::lens_choice::lens_score::could_fit_better;
 use crate::estimation::lens_choice::lens_trial::{Trial, may_be_worth_more};
-use crate::estimation::lens_choice::starts_from_other_lenses::closest_of;
+use crate::estimation::lens_choice::starts_from_other_lenses::{closest_of, with_common_effects};
 use crate::estimation::lens_choice::{COLUMNS, compared_views};
 use crate::estimation::lens_pole::has_pole;
 use crate::estimation::problem::{CameraOptions, CameraProblem};
@@ -86,7 +86,11 @@ impl LensMisfit {
         let plain_px = [of_own.as_ref().map(held_out_px), Some(held_out_px(&best))];
         let full = with_effects(best.fit.clone(), problem.image_size, &of_larger);
         let held_out_rms_px = if fit.effects.is_some() || full.effects.is_some() {
-            beyond_effects(fit, &full, views, grid)?
+            let plain = [own.clone(), best.fit.clone()];
+            let with = [fit.clone(), full.clone()];
+            let common = with_common_effects(&plain, &with, problem.image_size);
+            let [own, larger] = common.as_slice() else { return None };
+            beyond_effects(own, larger, views, grid)?
         } else {
             plain_px
         };
@@ -96,9 +100,9 @@ impl LensMisfit {
     }
 }
 
-/// The held-out errors of a lens and of a larger one, in pixels, each with the board's shape and
-/// the motion that it finds: otherwise a larger lens may be better only because it absorbs them.
-/// `None` where the larger one is then no better.
+/// The held-out errors of a lens and of a larger one, in pixels, both with the board's shape and
+/// the motion: otherwise a larger lens may be better only because it absorbs them. `None` where the
+/// larger one is then no better.
 fn beyond_effects(
     own: &CameraFit,
     larger: &CameraFit,
