@@ -20,6 +20,7 @@ use crate::estimation::model_error::{noise_floor_px_of, with_noise_floor};
 pub use crate::estimation::problem::{CameraOptions, CameraStart};
 use crate::estimation::problem::{CameraProblem, GivenParameter, LensChoice, check};
 use crate::estimation::start::Prepared;
+use crate::estimation::view_order::ViewOrder;
 use crate::geometry::lens::{Lens, LensModel};
 
 /// Checks that a lens of `model` has the `given` parameters, by name, and that their values are
@@ -34,7 +35,7 @@ pub fn check_given(model: LensModel, given: &[GivenParameter]) -> Result<(), Est
 
 /// Calibrates a camera: starts from Zhang's closed form (or `options.start`), then runs
 /// Levenberg–Marquardt over the lens and all poses, with a robust selection of corners and views.
-/// Deterministic.
+/// Deterministic, and the same in any order of the views.
 ///
 /// # Errors
 /// Numbers that are not finite, too few usable views, or views that do not determine the lens. Each
@@ -43,7 +44,9 @@ pub fn calibrate_camera(
     problem: &CameraProblem,
     options: &CameraOptions,
 ) -> Result<CameraEstimate, EstimationError> {
-    Ok(solve(problem, options)?.0)
+    let order = ViewOrder::of(problem);
+    let (estimate, _) = solve(&order.problem(problem), &order.options(options))?;
+    Ok(order.as_given(estimate))
 }
 
 /// As [`calibrate_camera`], with the check whether the model is right
@@ -55,10 +58,11 @@ pub fn calibrate_and_check(
     problem: &CameraProblem,
     options: &CameraOptions,
 ) -> Result<(CameraEstimate, ModelCheck), EstimationError> {
-    let (estimate, fit) = solve(problem, options)?;
+    let order = ViewOrder::of(problem);
+    let (estimate, fit) = solve(&order.problem(problem), &order.options(options))?;
     let check = ModelCheck::of(&fit, &estimate, options);
     options.interrupt.check()?;
-    Ok((estimate, check))
+    Ok((order.as_given(estimate), check))
 }
 
 /// As [`calibrate_and_check`]. Where the scatter between views exceeds that of their corners, the
@@ -70,6 +74,15 @@ pub fn calibrate_and_check(
 /// # Errors
 /// As [`calibrate_camera`].
 pub fn calibrate_with_jackknife(
+    problem: &CameraProblem,
+    options: &CameraOptions,
+) -> Result<(CameraEstimate, ModelCheck), EstimationError> {
+    let order = ViewOrder::of(problem);
+    let (estimate, check) = solve_with_jackknife(&order.problem(problem), &order.options(options))?;
+    Ok((order.as_given(estimate), check))
+}
+
+fn solve_with_jackknife(
     problem: &CameraProblem,
     options: &CameraOptions,
 ) -> Result<(CameraEstimate, ModelCheck), EstimationError> {
@@ -100,7 +113,7 @@ fn check_of_given(
         return GivenCheck::NothingGiven;
     };
     let free = CameraOptions { given: Vec::new(), lens, start: None, ..options.clone() };
-    let Ok((estimate, check)) = calibrate_with_jackknife(problem, &free) else {
+    let Ok((estimate, check)) = solve_with_jackknife(problem, &free) else {
         return GivenCheck::Unknown;
     };
     let free = FreeEstimate {

@@ -3,6 +3,7 @@
 //! | question | where |
 //! | --- | --- |
 //! | what is given, and whether it fits | [`problem`], [`given_range`], [`given_misfit`] |
+//! | in which order views are solved | `view_order` |
 //! | one camera, lens and poses, from views of a board | [`camera`] |
 //! | several sensors fixed to each other | [`rig`], [`consistent_labels`] |
 //! | a symmetric board that views label from different ends | [`labels_by_shape`], [`relabeled`] |
@@ -65,4 +66,5 @@ pub mod uncertainty;
 pub mod undetermined_coefficients;
 pub mod view_fault;
 pub mod view_motion;
+mod view_order;
 pub mod zhang;

@@ -20,6 +20,7 @@ use crate::estimation::split_halves::{
 };
 use crate::estimation::start::{Prepared, mean_point};
 use crate::estimation::view_fault::ViewFault;
+use crate::estimation::view_order::{ViewOrder, mean_pixel};
 use crate::geometry::median::median_pose;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
@@ -98,12 +99,17 @@ pub struct SensorPose {
 }
 
 /// Calibrates a rig: each sensor by itself for a start, then all jointly, with each sensor weighted
-/// by its own noise.
+/// by its own noise. The same in any order of the frame sets.
 ///
 /// # Errors
 /// As [`crate::estimation::camera::calibrate_camera`] for each sensor; a sensor that shares no
 /// frame set with the others, or is inconsistent with them in all.
 pub fn calibrate_rig(problem: &RigProblem) -> Result<RigEstimate, EstimationError> {
+    let order = FrameSetOrder::of(problem);
+    Ok(order.as_given(solve(&order.problem(problem))?))
+}
+
+fn solve(problem: &RigProblem) -> Result<RigEstimate, EstimationError> {
     let cameras: Vec<CameraProblem> =
         problem.sensors.iter().map(RigSensor::to_camera_problem).collect();
     cameras.iter().try_for_each(check)?;
@@ -204,6 +210,52 @@ fn shape_widening_of(problem: &RigProblem, alone: &[(Prepared, CameraFit)]) -> f
     let excess: Vec<f64> = problem.sensors.iter().zip(alone).filter_map(of_sensor).collect();
     let count = excess.len().max(1) as f64;
     1.0 + excess.iter().sum::<f64>() / (count * count)
+}
+
+/// The frame sets of a rig, ordered by the mean pixel of the view of the first sensor in each.
+struct FrameSetOrder {
+    /// The position of each frame set in this order.
+    positions: Vec<usize>,
+    /// The order of each sensor's views.
+    sensors: Vec<ViewOrder>,
+}
+
+impl FrameSetOrder {
+    fn of(problem: &RigProblem) -> Self {
+        let views = || problem.sensors.iter().rev().flat_map(|sensor| &sensor.views);
+        let seen = views().map(|seen| seen.frame_set + 1).max().unwrap_or(0);
+        let mut pixels = vec![[f64::INFINITY; 2]; problem.frame_sets.max(seen)];
+        for seen in views() {
+            pixels[seen.frame_set] = mean_pixel(&seen.view);
+        }
+        let positions = ViewOrder::by(pixels.len(), |set| pixels[set]).positions();
+        let of_sensor = |sensor: &RigSensor| {
+            let position = |view: usize| positions[sensor.views[view].frame_set];
+            ViewOrder::by_position(sensor.views.len(), position)
+        };
+        let sensors = problem.sensors.iter().map(of_sensor).collect();
+        Self { positions, sensors }
+    }
+
+    /// The problem with its frame sets, and each sensor's views, in this order.
+    fn problem(&self, problem: &RigProblem) -> RigProblem {
+        let of_sensor = |(sensor, order): (&RigSensor, &ViewOrder)| {
+            let mut views = order.ordered(&sensor.views);
+            for seen in &mut views {
+                seen.frame_set = self.positions[seen.frame_set];
+            }
+            RigSensor { views, options: order.options(&sensor.options), ..sensor.clone() }
+        };
+        let sensors = problem.sensors.iter().zip(&self.sensors).map(of_sensor).collect();
+        RigProblem { sensors, frame_sets: problem.frame_sets }
+    }
+
+    /// An estimate of the problem in this order, with each sensor's views in the order given.
+    fn as_given(&self, estimate: RigEstimate) -> RigEstimate {
+        let cameras = estimate.cameras.into_iter().zip(&self.sensors);
+        let cameras = cameras.map(|(camera, order)| order.as_given(camera)).collect();
+        RigEstimate { cameras, ..estimate }
+    }
 }
 
 impl RigSensor {

@@ -126,3 +126,16 @@ fn views_of_no_or_few_corners_are_named_and_change_nothing() {
     assert_eq!(estimate.views[7].fault, Some(ViewFault::TooFewPoints { points: 5, needed: 6 }));
     assert!(worst_projection_in_stds(&camera.lens, &estimate) < 3.0);
 }
+
+#[test]
+fn a_copy_is_named_after_the_first_view_that_it_equals() {
+    let (camera, mut problem) = problem();
+    problem.views.insert(20, problem.views[3].clone());
+    problem.views.push(problem.views[3].clone());
+    let estimate = calibrate_camera(&problem, &options()).unwrap();
+    for (number, view) in estimate.views.iter().enumerate() {
+        let copied = [20, 31].contains(&number).then_some(ViewFault::Copied { number: 4 });
+        assert_eq!(view.fault, copied, "view {number}");
+    }
+    assert!(worst_projection_in_stds(&camera.lens, &estimate) < 3.0);
+}

@@ -93,6 +93,44 @@ fn uneven(camera: &SeededCamera, views: usize, seed: u64, height_m: f64) -> Came
 }
 
 #[test]
+fn the_order_of_views_changes_nothing() {
+    let mut problem = uneven(&SeededCamera::wide(), 14, 6400, 1e-3);
+    // A view that does not fit, and views that differ by more than their corners' noise: halves,
+    // folds and solves without views are all compared.
+    for corner in problem.views[5].correspondences.iter_mut().step_by(2) {
+        corner.pixel.x += 3.0;
+    }
+    for (number, view) in problem.views.iter_mut().enumerate() {
+        let most_px = [0.8, -0.5, 0.1, -0.9][number % 4];
+        for corner in &mut view.correspondences {
+            let [x, y] = [corner.pixel.x / 320.0 - 1.0, corner.pixel.y / 240.0 - 1.0];
+            let radius2 = x * x + y * y;
+            corner.pixel.x += most_px * x * radius2;
+            corner.pixel.y += most_px * y * radius2;
+        }
+    }
+    let solve = |problem: &CameraProblem| {
+        calibrate_with_jackknife(problem, &CameraOptions::default()).unwrap()
+    };
+    let (estimate, check) = solve(&problem);
+    assert!(estimate.variance_inflation > 1.0, "the test means to have solves without views");
+    let mut rotated = problem.clone();
+    rotated.views.rotate_left(5);
+    let mut reversed = problem.clone();
+    reversed.views.reverse();
+    for other in [rotated, reversed] {
+        let (mut again, check_again) = solve(&other);
+        let names: Vec<&str> = again.views.iter().map(|view| view.name.as_str()).collect();
+        let given: Vec<&str> = other.views.iter().map(|view| view.name.as_str()).collect();
+        assert_eq!(names, given);
+        let place = |name: &str| estimate.views.iter().position(|view| view.name == name);
+        again.views.sort_by_key(|view| place(&view.name));
+        assert_eq!(again, estimate);
+        assert_eq!(check_again, check);
+    }
+}
+
+#[test]
 fn neither_an_uneven_board_nor_a_rolling_shutter_makes_auto_take_another_lens() {
     let precise = |camera| SeededCamera { noise_px: 0.02, ..camera };
     let cameras = [SeededCamera::ordinary(), SeededCamera::wide(), SeededCamera::fisheye()];

@@ -247,19 +247,20 @@ fn what_is_stated_of_a_moving_board_reprojects() {
 
 #[test]
 fn a_right_model_is_not_accused() {
-    // Chance makes views seem to differ seven times in a hundred, and then hardly.
-    let mut widened = 0;
+    // Chance makes views seem to differ seven times in a hundred, and then hardly; halves of the
+    // views differ by more than 2.5 times what is predicted once in two hundred times.
+    let (mut widened, mut accused) = (0, 0);
     for seed in 0..30 {
         let camera = SeededCamera::ordinary();
         let mut rng = SeededCamera::rng(300 + seed);
         let poses = camera.poses(8 + seed as usize, &mut rng);
         let solved = solve_views(&camera.problem(&poses, &mut rng), &brown()).unwrap();
-        assert!(!says(&solved, "does not fit"), "seed {seed}: {:?}", solved.verdict);
         let factor = solved.estimate.variance_inflation;
         assert!(factor < 1.25, "seed {seed}: variances are {factor} times as large");
         widened += i32::from(factor > 1.0);
+        accused += i32::from(says(&solved, "does not fit"));
     }
-    assert!(widened <= 6, "{widened} of 30");
+    assert!(widened <= 6 && accused <= 1, "{widened} and {accused} of 30");
 }
 
 /// Rounding errors say nothing of the model, even where they are smooth.

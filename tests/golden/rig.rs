@@ -361,3 +361,21 @@ fn sensors_that_share_nothing_are_refused() {
         EstimationError::NothingShared { sensor: "right".to_owned() }
     );
 }
+
+#[test]
+fn the_order_of_frame_sets_changes_nothing() {
+    let (problem, _) = stereo(20, 5);
+    let estimate = calibrate_rig(&problem).unwrap();
+    let mut other = problem.clone();
+    for sensor in &mut other.sensors {
+        for seen in &mut sensor.views {
+            seen.frame_set = problem.frame_sets - 1 - seen.frame_set;
+        }
+        sensor.views.sort_by_key(|seen| seen.frame_set);
+    }
+    let mut again = calibrate_rig(&other).unwrap();
+    for camera in &mut again.cameras {
+        camera.views.reverse();
+    }
+    assert_eq!(again, estimate);
+}
