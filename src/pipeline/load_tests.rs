@@ -97,10 +97,8 @@ async fn a_rig_goes_on_without_the_camera_that_does_not() {
     let ended = fleet.stop_session(&id).await.unwrap();
     assert_eq!(ended.state, SessionState::Failed, "{ended:?}");
     let why = ended.reason.unwrap();
-    assert!(
-        why.starts_with("still waiting for camera `right`: camera 7 was lost: unplugged; "),
-        "{why}"
-    );
+    // By then, an attempt to open it again may have failed too, for its own reason.
+    assert!(why.starts_with("still waiting for camera `right`: camera 7 was lost: "), "{why}");
     assert!(why.contains("views kept: left 0, right 0; at least two cameras need"), "{why}");
     assert!(fleet.camera("left").unwrap().session.is_none());
     let own = fleet.start_session("left", request()).await.unwrap();
