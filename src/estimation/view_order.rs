@@ -1,7 +1,7 @@
 //! The order in which views are solved: that of their places in the image, whatever the order in
-//! which they are given. Halves of the views, folds of held-out views and the views that a jackknife
-//! leaves out are drawn by order. In the order of files, the same thirteen photographs gave a standard
-//! deviation of fx of 0.33 or of 0.56 px, depending on how they were listed.
+//! which they are given. Halves of the views, folds of held-out views and the views that a
+//! jackknife leaves out are drawn by order. In the order of files, the same thirteen photographs
+//! gave a standard deviation of fx of 0.33 or of 0.56 px, depending on how they were listed.
 
 use crate::estimation::camera_estimate::{CameraEstimate, ViewEstimate};
 use crate::estimation::problem::{BoardView, CameraOptions, CameraProblem, CameraStart};

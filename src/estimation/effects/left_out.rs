@@ -4,8 +4,9 @@
 //!
 //! The misfit of a view is the least sum of squares over its pose and motion, with the priors that
 //! the other views give for lens, board and motion. To first order in lens and board, it follows
-//! from the view's own equations and from the covariance C of the other views: f − gᵀ (C⁻¹ + A)⁻¹ g.
-//! Of a view that is one of those that C comes from, it is f + gᵀ (C⁻¹ − A)⁻¹ g.
+//! from the view's own equations and from the covariance C of the other views:
+//! f − gᵀ (C⁻¹ + A)⁻¹ g. Of a view that is one of those that C comes from, it is
+//! f + gᵀ (C⁻¹ − A)⁻¹ g.
 
 use std::rc::Rc;
 

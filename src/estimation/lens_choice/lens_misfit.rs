@@ -100,9 +100,9 @@ impl LensMisfit {
     }
 }
 
-/// The held-out errors of a lens and of a larger one, in pixels, both with the board's shape and
-/// the motion: otherwise a larger lens may be better only because it absorbs them. `None` where the
-/// larger one is then no better.
+/// The held-out errors of a lens and of a larger one, in pixels, both fitted with the same effects
+/// of the board's shape and motion: otherwise a larger lens may be better only because it absorbs
+/// them. `None` where the larger one is then no better.
 fn beyond_effects(
     own: &CameraFit,
     larger: &CameraFit,
