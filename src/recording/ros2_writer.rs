@@ -151,7 +151,7 @@ impl Ros2Writer {
     fn metadata(&self) -> String {
         let (first, last) = self.times_ns.unwrap_or_default();
         let count: u64 = self.topics.values().map(|(_, count)| count).sum();
-        let (duration, file) = (last - first, &self.file_name);
+        let (duration, file) = (last - first, quoted(&self.file_name));
         let mut topics = String::new();
         for (name, (type_name, count)) in &self.topics {
             // Writing into a string cannot fail.
@@ -165,6 +165,11 @@ impl Ros2Writer {
             "rosbag2_bagfile_information:\n  version: 5\n  storage_identifier: mcap\n  duration:\n    nanoseconds: {duration}\n  starting_time:\n    nanoseconds_since_epoch: {first}\n  message_count: {count}\n  topics_with_message_count:{topics}\n  compression_format: \"\"\n  compression_mode: \"\"\n  relative_file_paths:\n    - {file}\n  files:\n    - path: {file}\n      starting_time:\n        nanoseconds_since_epoch: {first}\n      duration:\n        nanoseconds: {duration}\n      message_count: {count}\n"
         )
     }
+}
+
+/// A YAML string: a folder may be named `run #3`, whose end would be a comment.
+fn quoted(text: &str) -> String {
+    format!("'{}'", text.replace('\'', "''"))
 }
 
 #[cfg(test)]
@@ -217,6 +222,19 @@ mod tests {
             let read = DepthImage::from_frame(set.frame(SensorKind::Depth).unwrap()).unwrap();
             assert_eq!(read.readings(), millimeters, "{encoding:?}");
         }
+    }
+
+    #[test]
+    fn a_folder_s_name_is_written_as_a_yaml_string() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a: it's #3");
+        let mut writer = Ros2Writer::create(&path, "front").unwrap();
+        writer.write(&depth_set(&[1, 2])).unwrap();
+        writer.finish().unwrap();
+        let metadata = fs::read_to_string(path.join("metadata.yaml")).unwrap();
+        assert!(metadata.contains("    - 'a: it''s #3_0.mcap'\n"), "{metadata}");
+        let mut bag = Recording::open(&path, &ReadOptions::default()).unwrap();
+        assert!(bag.next_frame_set().unwrap().is_some());
     }
 
     #[test]

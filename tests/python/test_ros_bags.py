@@ -197,7 +197,7 @@ def test_bad_bags_are_one_line(plumb, images, tmp_path):
 
 
 def test_what_plumb_records_opens_in_ros(plumb, tmp_path):
-    config, out = tmp_path / "plumb.toml", tmp_path / "front"
+    config, out = tmp_path / "plumb.toml", tmp_path / "it's run #3"
     source = f'{{ kind = "recording", path = "{RECORDINGS}/rgbd.mcap", pace = "fastest" }}'
     config.write_text(f'[[camera]]\nname = "front"\nsource = {source}\n')
     plumb("record", "--ros2", "--camera", "front", "--config", config, "--out", out)

@@ -111,11 +111,11 @@ fn files_in_metadata(folder: &Path) -> Result<Vec<PathBuf>, RecordingError> {
     }
     let names = listed(&text, "relative_file_paths");
     // A name that leads out of the folder is none of the bag's.
-    Ok(names.filter_map(|name| Path::new(name).file_name()).map(|name| folder.join(name)).collect())
+    Ok(names.filter_map(|name| Some(folder.join(Path::new(&name).file_name()?))).collect())
 }
 
 /// The items of the list `key` in YAML as rosbag2 writes it: one a line, or all in brackets.
-fn listed<'a>(yaml: &'a str, key: &str) -> impl Iterator<Item = &'a str> {
+fn listed(yaml: &str, key: &str) -> impl Iterator<Item = String> {
     let after = yaml.lines().skip_while(move |line| {
         line.trim().strip_prefix(key).is_none_or(|rest| !rest.trim_start().starts_with(':'))
     });
@@ -123,10 +123,15 @@ fn listed<'a>(yaml: &'a str, key: &str) -> impl Iterator<Item = &'a str> {
     let head = lines.next().and_then(|line| line.split_once(':')).map_or("", |(_, rest)| rest);
     let inline = head.trim().trim_start_matches('[').trim_end_matches(']').split(',');
     let items = lines.map_while(|line| line.trim().strip_prefix("- "));
-    inline
-        .chain(items)
-        .map(|name| name.trim().trim_matches(['"', '\'']))
-        .filter(|name| !name.is_empty())
+    inline.chain(items).map(|name| unquoted(name.trim())).filter(|name| !name.is_empty())
+}
+
+/// A YAML string without its quotes. In single quotes, a quote is written twice.
+fn unquoted(text: &str) -> String {
+    match text.strip_prefix('\'').and_then(|rest| rest.strip_suffix('\'')) {
+        Some(inner) => inner.replace("''", "'"),
+        None => text.trim_matches('"').to_owned(),
+    }
 }
 
 /// The files of a bag, one after the other.
