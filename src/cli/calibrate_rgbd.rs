@@ -30,6 +30,7 @@ use crate::imaging::depth_encoding::DepthEncoding;
 use crate::imaging::depth_image::DepthImage;
 use crate::imaging::frame::{FrameSet, SensorKind};
 use crate::imaging::gray::GrayImage;
+use crate::recording::Recording;
 
 /// How many frame sets of a recording file are searched for a depth frame.
 const SEARCHED_FOR_DEPTH: usize = 30;
@@ -60,7 +61,7 @@ pub fn calibrate(
     options: &CameraOptions,
     detect: DetectOptions,
 ) -> Result<(Calibration, f64), Failure> {
-    let depth = depth_sensor(source)?;
+    let depth = depth_sensor(source, reading)?;
     let mut gathered = RgbdGathering::new(source, target, detect);
     let spinner = progress::spinner("searching images");
     for frames in FrameSets::new(std::iter::once(source.to_owned())).reading(reading) {
@@ -95,7 +96,7 @@ pub fn views_of(
     target: Target,
     numbers: &BTreeMap<String, usize>,
 ) -> Result<CameraFrameSets, Failure> {
-    let depth = depth_sensor(source)?;
+    let depth = depth_sensor(source, &search.reading)?;
     let mut gathered = RgbdGathering::new(source, target, search.detect_options());
     for frames in FrameSets::new(std::iter::once(source.to_owned())).reading(&search.reading) {
         let mut frames = frames.map_err(|unreadable| Failure::failed(unreadable.reason))?;
@@ -114,19 +115,27 @@ pub fn views_of(
     Ok(camera)
 }
 
-/// What a recording states about its depth. In a recording file, 16-bit depth is in millimeters
+/// What a recording states about its depth. Where it states no unit, 16-bit depth is in millimeters
 /// (ROS REP 118).
-pub(super) fn depth_sensor(source: &str) -> Result<DepthSensor, Failure> {
-    let stated = SensorsFile::of_folder(Path::new(source)).map_err(Failure::failed)?;
-    let (encoding, factory) = match stated {
+pub(super) fn depth_sensor(source: &str, reading: &TopicArgs) -> Result<DepthSensor, Failure> {
+    let path = Path::new(source);
+    let (encoding, factory) = match SensorsFile::of_folder(path).map_err(Failure::failed)? {
         Some(stated) => {
-            stated.warn_of_unused(Path::new(source));
+            stated.warn_of_unused(path);
             let encoding = stated.depth.encoding().map_err(Failure::failed)?;
-            (encoding, stated.depth_factory().map_err(Failure::failed)?)
+            (Some(encoding), stated.depth_factory().map_err(Failure::failed)?)
         }
-        None => (DepthEncoding::ORDINARY, None),
+        None if is_recording(path) => {
+            let stated = Recording::open(path, &reading.read_options())
+                .map_err(|error| Failure::failed(format!("{source}: {error}")))?
+                .factory();
+            let of_depth = stated.sensor(SensorKind::Depth);
+            let factory = of_depth.and_then(|depth| depth.depth_lens(depth.image_size));
+            (stated.depth_encoding, factory)
+        }
+        None => (None, None),
     };
-    let DepthEncoding { reading, invalid } = encoding;
+    let DepthEncoding { reading, invalid } = encoding.unwrap_or(DepthEncoding::ORDINARY);
     Ok(DepthSensor { reading, invalid, factory, with_infrared: true })
 }
 
@@ -289,7 +298,11 @@ impl<'a> RgbdGathering<'a> {
         View { number: 0, frame, detection }.to_board_view(&self.target).correspondences
     }
 
-    fn finish(self, depth: DepthSensor) -> Result<CameraFrameSets, Failure> {
+    fn finish(self, mut depth: DepthSensor) -> Result<CameraFrameSets, Failure> {
+        let mut of_depth = SensorKind::ALL.iter().filter(|kind| kind.is_of_depth());
+        let infrared = of_depth.find_map(|kind| self.sizes.get(kind));
+        depth.with_infrared =
+            infrared.is_none_or(|size| self.sizes.get(&SensorKind::Depth) == Some(size));
         let saw = |seen: &ObservedFrameSet| !seen.corners(SensorKind::Color).is_empty();
         match self.sizes.get(&SensorKind::Color).copied() {
             Some(_) if self.frame_sets.iter().any(saw) => Ok(CameraFrameSets {

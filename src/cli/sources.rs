@@ -24,6 +24,13 @@ pub struct TopicArgs {
     every_frame: bool,
 }
 
+impl TopicArgs {
+    /// How a recording is opened.
+    pub fn read_options(&self) -> ReadOptions {
+        ReadOptions { topics: self.topics.clone(), ..ReadOptions::default() }
+    }
+}
+
 /// A source, or one of its frame sets, that could not be read.
 #[derive(Debug)]
 pub struct Unreadable {
@@ -108,7 +115,7 @@ impl<'a> FrameSets<'a> {
     /// Selects what is read of recordings, according to `args`.
     #[must_use]
     pub fn reading(mut self, args: &TopicArgs) -> Self {
-        self.reading.topics.clone_from(&args.topics);
+        self.reading = args.read_options();
         self.every_frame = args.every_frame;
         self
     }

@@ -215,7 +215,7 @@ impl Boards<'_> {
                 None => None,
             };
             if let (Some(_), None) = (&image, &stated) {
-                let sensor = stated.insert(depth_sensor(source)?);
+                let sensor = stated.insert(depth_sensor(source, &search.reading)?);
                 as_stated(&mut camera.reading, sensor.reading);
             }
             let expected = camera.image_size;

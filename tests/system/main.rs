@@ -29,6 +29,7 @@ mod properties;
 mod recordings;
 mod rgbd_bent;
 mod rgbd_disparity;
+mod rgbd_recorded_unit;
 mod rgbd_rig;
 mod rgbd_session;
 mod rgbd_wrong;
