@@ -141,10 +141,8 @@ fn neither_an_uneven_board_nor_a_rolling_shutter_makes_auto_take_another_lens() 
             cases.push((format!("uneven, {views} views"), camera.clone(), problem));
         }
     }
-    for (views, seed) in [(12, 3), (20, 4)] {
-        let (camera, problem) = rolling(views, 6300 + seed, (3e-3, 0.01));
-        cases.push((format!("rolling, {views} views"), camera, problem));
-    }
+    let (camera, problem) = rolling(12, 6303, (3e-3, 0.01));
+    cases.push(("rolling, 12 views".to_owned(), camera, problem));
     for (case, camera, problem) in cases {
         let estimate = calibrate_camera(&problem, &CameraOptions::default()).unwrap();
         let case = format!("{}, {case}: {:?}", camera.lens.model(), estimate.compared);
@@ -152,6 +150,25 @@ fn neither_an_uneven_board_nor_a_rolling_shutter_makes_auto_take_another_lens() 
         let sigmas = worst_projection_in_stds(&camera.lens, &estimate);
         assert!(sigmas < 4.0, "{sigmas} sigma: {case}");
     }
+}
+
+/// Chance lets a larger lens predict views better by two standard errors once in forty times, and
+/// the rational model contains the true one.
+#[test]
+fn a_rolling_shutter_seldom_makes_auto_take_a_larger_lens() {
+    let mut others = Vec::new();
+    for seed in 6304..6334 {
+        let (camera, problem) = rolling(20, seed, (3e-3, 0.01));
+        let estimate = calibrate_camera(&problem, &CameraOptions::default()).unwrap();
+        let sigmas = worst_projection_in_stds(&camera.lens, &estimate);
+        assert!(sigmas < 4.0, "seed {seed}: {sigmas} sigma: {:?}", estimate.compared);
+        match estimate.lens.model() {
+            LensModel::Brown => {}
+            model => others.push((seed, model)),
+        }
+    }
+    assert!(others.iter().all(|(_, model)| *model == LensModel::Rational), "{others:?}");
+    assert!(others.len() <= 4, "{others:?}");
 }
 
 #[test]

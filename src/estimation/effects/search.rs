@@ -37,11 +37,26 @@ const CONVERGED_COST: f64 = 0.03;
 /// Steps at fixed variances after a view is added. Not swept.
 const MAX_JOINING_STEPS: usize = 8;
 
-/// How often a step that raises the cost is halved before the state is left as it is.
-const MAX_HALVINGS: usize = 8;
+/// The damping of a first step after a full one that raises the cost, relative to the information;
+/// by which factor it is raised from try to try, and lowered from step to step; and from where on
+/// the state is left as it is. Chosen, not swept.
+const FIRST_DAMPING: f64 = 1e-6;
+const DAMPING_FACTOR: f64 = 10.0;
+const MOST_DAMPING: f64 = 10.0;
+
+/// Damped steps, which do not count as steps. Not swept.
+const MAX_DAMPED_STEPS: usize = 24;
 
 /// Steps with smooth shapes alone.
 const ROUGH_STEPS: usize = 8;
+
+/// A step that was made.
+struct StepTaken {
+    /// By how much it lowered the penalized cost.
+    decrease: f64,
+    /// Whether it was not damped.
+    is_full: bool,
+}
 
 /// The search. An effect that is not in the model has no unknowns.
 pub(super) struct EffectSearch {
@@ -68,20 +83,27 @@ impl EffectSearch {
         if !candidates.shape {
             return Self::from_state(rough_scene, flat, candidates, false);
         }
-        let mut near = Self::from_state(rough_scene, flat, candidates, false)?;
-        near.converge(rough_scene, ROUGH_STEPS)?;
+        let mut near = Self::from_state(rough_scene, flat.clone(), candidates, false)?;
+        let is_linear = near.converge(rough_scene, ROUGH_STEPS)?;
+        if candidates.motion && !is_linear {
+            // With six unknowns per view, motion also explained what the smooth shapes do not, and
+            // became far too large. So it is added after the rest of the shape.
+            let shape_only = CandidateEffects { motion: false, ..candidates };
+            near = Self::from_state(rough_scene, flat, shape_only, false)?;
+            near.converge(rough_scene, ROUGH_STEPS)?;
+            if !near.misses_point_offsets(rough_scene)? {
+                near = Self::from_state(rough_scene, near.state, candidates, false)?;
+                near.converge(rough_scene, ROUGH_STEPS)?;
+            }
+        }
+        // Offsets of single points make the equations large. They are left out where smooth shapes
+        // and motion leave no residuals that they would explain.
+        let own = candidates.is_shape_required || near.misses_point_offsets(rough_scene)?;
         let heights = rough.heights.len();
         let mut shape = vec![0.0; scene.basis.len()];
         shape[..heights].copy_from_slice(&near.state.shape[..heights]);
         let stretches = Effect::Stretch.range(scene.basis);
         shape[stretches].copy_from_slice(&near.state.shape[heights..]);
-        // Offsets of single points make the equations large. They are left out where smooth shapes
-        // and motion leave no residuals that they would explain.
-        let basis = Rc::clone(&near.basis);
-        let narrow = near.restricted(rough_scene, &basis);
-        let noise_square = near.reduced(narrow, &near.variances)?.noise_square(&near.state);
-        let own = score_tests::are_point_offsets_significant(&near.system, noise_square)
-            || candidates.is_shape_required;
         let state = EffectsState { shape, ..near.state };
         let mut next = Self::from_state(scene, state, candidates, own)?;
         for one in &mut next.variances.0 {
@@ -90,6 +112,12 @@ impl EffectSearch {
             one.lambda = found.map_or(one.lambda, |found| found.min(one.lambda));
         }
         Some(next)
+    }
+
+    /// Whether offsets of single points would explain more of the residuals than chance does.
+    fn misses_point_offsets(&self, scene: Scene<'_>) -> Option<bool> {
+        let noise_square = self.noise_square(scene)?;
+        Some(score_tests::are_point_offsets_significant(&self.system, noise_square))
     }
 
     /// Starts from effects that were found before in the same views.
@@ -245,19 +273,29 @@ impl EffectSearch {
         Some(self.reduced(scene, &self.variances)?.posterior(&self.state))
     }
 
-    /// Steps until state and variances have converged.
-    pub(super) fn converge(&mut self, scene: Scene<'_>, max_steps: usize) -> Option<()> {
+    /// Steps until state and variances have converged. Returns whether all of them were full ones.
+    /// Variances are updated only after full steps: the motions and the noise that they follow from
+    /// are those at the end of such a step, and where it cannot be made, the linearized equations
+    /// do not hold there.
+    pub(super) fn converge(&mut self, scene: Scene<'_>, max_steps: usize) -> Option<bool> {
         self.last_posterior = None;
         let basis = Rc::clone(&self.basis);
         let scene = self.restricted(scene, &basis);
-        for _ in 0..max_steps {
+        let (mut damping, mut steps, mut are_full) = (0.0, 0, true);
+        for _ in 0..max_steps + MAX_DAMPED_STEPS {
             let posterior = self.posterior(scene)?;
             let of = (scene.basis, scene.layout.len);
             let UpdatedVariances { variances: next, determined } =
                 posterior.updated(&self.system, &self.state, of, &self.variances);
-            let cost =
-                self.system.cost + self.variances.penalty(&self.state, scene.basis, scene.good);
-            let decrease = self.step(scene, &posterior, cost)?;
+            let StepTaken { decrease, is_full } = self.step(scene, &posterior, &mut damping)?;
+            let is_at_mode = decrease < CONVERGED_COST * posterior.noise_square;
+            are_full &= is_full;
+            if !is_full {
+                if is_at_mode {
+                    break;
+                }
+                continue;
+            }
             let changes = next.0.iter().zip(&self.variances.0).zip(&determined);
             let changed = changes
                 .map(|((next, now), known)| {
@@ -265,12 +303,12 @@ impl EffectSearch {
                 })
                 .fold(0.0, f64::max);
             self.variances = next.with_stretch_as_others(scene.basis);
-            if changed < CONVERGED_LOG_LAMBDA && decrease < CONVERGED_COST * posterior.noise_square
-            {
+            steps += 1;
+            if steps == max_steps || is_at_mode && changed < CONVERGED_LOG_LAMBDA {
                 break;
             }
         }
-        Some(())
+        Some(are_full)
     }
 
     /// Steps until the state has converged, at fixed variances.
@@ -278,36 +316,59 @@ impl EffectSearch {
         self.last_posterior = None;
         let basis = Rc::clone(&self.basis);
         let scene = self.restricted(scene, &basis);
+        let mut damping = 0.0;
         for _ in 0..MAX_JOINING_STEPS {
             let posterior = self.posterior(scene)?;
-            let cost =
-                self.system.cost + self.variances.penalty(&self.state, scene.basis, scene.good);
-            if self.step(scene, &posterior, cost)? < CONVERGED_COST * noise_square {
+            let StepTaken { decrease, .. } = self.step(scene, &posterior, &mut damping)?;
+            if decrease < CONVERGED_COST * noise_square {
                 break;
             }
         }
         Some(())
     }
 
-    /// Makes a step that lowers the penalized cost, and returns the decrease.
-    fn step(&mut self, scene: Scene<'_>, posterior: &Posterior, cost: f64) -> Option<f64> {
-        let mut part = 1.0;
-        for _ in 0..MAX_HALVINGS {
-            let next = self.stepped(scene, posterior, part);
+    /// Makes a step that lowers the penalized cost, if there is one: the full one where `damping`
+    /// is 0, to the mode that `posterior` has.
+    fn step(
+        &mut self,
+        scene: Scene<'_>,
+        posterior: &Posterior,
+        damping: &mut f64,
+    ) -> Option<StepTaken> {
+        let cost = self.penalized_cost(scene, &self.state, &self.system);
+        while *damping <= MOST_DAMPING {
+            let is_full = *damping == 0.0;
+            let next = if is_full {
+                self.stepped(scene, posterior)
+            } else {
+                let of = (scene.basis, scene.layout.len);
+                let (system, variances) = (&self.system, &self.variances);
+                ReducedSystem::damped(system, &self.state, of, variances, *damping)
+                    .and_then(|reduced| self.stepped(scene, &reduced.posterior(&self.state)))
+            };
             let system = next.as_ref().and_then(|next| System::at(scene, next));
             if let (Some(next), Some(system)) = (next, system) {
-                let at_next = system.cost + self.variances.penalty(&next, scene.basis, scene.good);
+                let at_next = self.penalized_cost(scene, &next, &system);
                 if at_next <= cost * (1.0 + 1e-9) {
                     (self.state, self.system) = (next, system);
-                    return Some(cost - at_next);
+                    *damping /= DAMPING_FACTOR;
+                    if *damping < FIRST_DAMPING {
+                        *damping = 0.0;
+                    }
+                    return Some(StepTaken { decrease: cost - at_next, is_full });
                 }
             }
-            part *= 0.5;
+            *damping = FIRST_DAMPING.max(*damping * DAMPING_FACTOR);
         }
-        Some(0.0)
+        Some(StepTaken { decrease: 0.0, is_full: false })
     }
 
-    fn stepped(&self, scene: Scene<'_>, posterior: &Posterior, part: f64) -> Option<EffectsState> {
+    /// The sum of squares at a state, with what the priors add.
+    fn penalized_cost(&self, scene: Scene<'_>, state: &EffectsState, system: &System) -> f64 {
+        system.cost + self.variances.penalty(state, scene.basis, scene.good)
+    }
+
+    fn stepped(&self, scene: Scene<'_>, posterior: &Posterior) -> Option<EffectsState> {
         let view_steps: Vec<ViewStep> = self
             .system
             .views
@@ -315,11 +376,11 @@ impl EffectSearch {
             .enumerate()
             .map(|(k, view)| {
                 let motion = posterior.motions.get(k).copied().unwrap_or_else(Vector6::zeros);
-                let pose = view.pose_step(&posterior.global, &motion) * part;
-                ViewStep { observation: view.observation, pose, motion: motion * part }
+                let pose = view.pose_step(&posterior.global, &motion);
+                ViewStep { observation: view.observation, pose, motion }
             })
             .collect();
-        self.state.stepped(scene, &(&posterior.global * part), &view_steps)
+        self.state.stepped(scene, &posterior.global, &view_steps)
     }
 
     /// Drops the effects that are not significant, and returns whether there were any.

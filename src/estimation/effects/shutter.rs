@@ -24,7 +24,7 @@ const AGREED_STDS: f64 = 3.0;
 const AGREED_OF_FEW_STDS: f64 = 2.33;
 
 /// Steps of the control before a first comparison. That result is final where it exceeds what is
-/// required by this factor: further steps moved its mean by a quarter at most.
+/// required by this factor, after what the control would still gain was taken from it.
 const FIRST_STEPS: usize = 2;
 const CLEAR_FACTOR: f64 = 1.5;
 
@@ -45,20 +45,23 @@ impl EffectSearch {
         let basis = Rc::clone(&self.basis);
         let scene = Scene { basis: &basis, moves: true, ..scene };
         let by_columns = Scene { by_columns: Some(width), ..scene };
-        let (rows, views_by_rows) = self.evidences(scene)?;
+        let (rows, views_by_rows, _) = self.evidences(scene)?;
         let mut control = self.without_motion(by_columns)?;
         let mut against = |steps: usize, asked: f64| {
             control.converge(by_columns, steps)?;
-            let (columns, views) = control.evidences(by_columns)?;
-            let of_views = views_by_rows.iter().zip(views).map(|(rows, columns)| rows - columns);
+            let (columns, views, missing) = control.evidences(by_columns)?;
+            let each = missing / views.len() as f64;
+            let of_views =
+                views_by_rows.iter().zip(views).map(|(rows, columns)| rows - (columns + each));
             RollingShutterTest::of(rows - columns, &of_views.collect::<Vec<f64>>(), asked)
         };
         let first = against(FIRST_STEPS, CLEAR_FACTOR)?;
         if first.is_shown { Some(first) } else { against(MAX_STEPS - FIRST_STEPS, 1.0) }
     }
 
-    /// The logarithm of the evidence, and each view's part in it with the globals fixed.
-    fn evidences(&self, scene: Scene<'_>) -> Option<(f64, Vec<f64>)> {
+    /// The logarithm of the evidence, each view's part in it with the globals fixed, and how much
+    /// their sum is short of that at the mode, which the search may not have reached.
+    fn evidences(&self, scene: Scene<'_>) -> Option<(f64, Vec<f64>, f64)> {
         let lens = scene.layout.len;
         let reduced =
             ReducedSystem::of(&self.system, &self.state, scene.basis, lens, &self.variances)?;
@@ -79,7 +82,8 @@ impl EffectSearch {
             Some(-0.5 * ((cost + penalty) / noise_square + determinant + count * noise_square.ln()))
         };
         let of_views: Option<Vec<f64>> = self.system.views.iter().map(of_view).collect();
-        Some((reduced.log_evidence(&self.state), of_views?))
+        let missing = reduced.log_likelihood_gain(&self.state);
+        Some((reduced.log_evidence(&self.state), of_views?, missing))
     }
 }
 
