@@ -91,6 +91,32 @@ fn a_camera_that_only_rotates_gives_its_focal_length_whatever_the_threads() {
 }
 
 #[test]
+fn the_robot_in_view_is_no_part_of_the_scene() {
+    // The lowest fifth of each image shows what is fixed to the camera.
+    let mut random = 1_u32;
+    let blocks: Vec<u8> = (0..80 * 12)
+        .map(|_| {
+            random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (random >> 24) as u8
+        })
+        .collect();
+    let with_robot = |mut image: GrayImage| {
+        for (x, y, pixel) in image.enumerate_pixels_mut().filter(|(_, y, _)| *y >= 240) {
+            pixel.0[0] = blocks[(y - 240) as usize / 5 * 80 + x as usize / 5];
+        }
+        image
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let images: Vec<GrayImage> = rotating().iter().map(render).map(with_robot).collect();
+    let images = written(folder.path(), &images);
+    let cloud = folder.path().join("cloud.ply");
+    let document = document("2", &images, cloud.to_str().unwrap());
+    let color = &document["sensors"]["color"];
+    let [value, std] = ["lens", "lens_std"].map(|of| color[of]["fx"].as_f64().unwrap());
+    assert!((value - FOCAL_PX).abs() < 3.5 * std && std < 0.03 * FOCAL_PX, "{value} ± {std}");
+}
+
+#[test]
 fn a_calibration_is_verified_against_a_scene() {
     let folder = tempfile::tempdir().unwrap();
     let images: Vec<GrayImage> = rotating().iter().map(render).collect();

@@ -1,15 +1,19 @@
 //! From images to the input of estimation: pairs of images with their geometry, and tracks.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use nalgebra::Point2;
 
+use crate::calibration::scene::pair_geometry::{
+    SceneGeometry, geometry_of, is_one_view, scene_geometry, stayed,
+};
 use crate::estimation::interrupt::Interrupt;
 use crate::estimation::scene::problem::{SceneProblem, TrackPoint};
 use crate::estimation::scene::reconstruction::ImagePair;
 use crate::estimation::scene::rotation_only::RotatedPair;
 use crate::estimation::two_view::PointPair;
-use crate::estimation::two_view::degeneracy::{TwoViewGeometry, TwoViewKind, two_view_geometry};
+use crate::estimation::two_view::degeneracy::{TwoViewGeometry, TwoViewKind};
 use crate::features::detector::{FeatureOptions, Features, find_features};
 use crate::features::matching::{
     Comparison, DescriptorTable, Match, compare_descriptors, match_descriptors,
@@ -115,10 +119,6 @@ pub(super) struct ImagePairs {
 /// nothing.
 const PREVIEWED_FEATURES: usize = 600;
 
-/// Two images between which nothing moved are of one view if at least this fraction of the features
-/// of the image with fewer features stayed. With less, only what is written into the images stayed.
-const SAME_VIEW_FRACTION: f64 = 0.2;
-
 /// Pairs with fewer preliminary matches are skipped unless they are neighbors: as many arise by
 /// chance.
 const LEAST_PREVIEW_MATCHES: usize = 6;
@@ -149,10 +149,18 @@ pub(super) fn correspond(
         let part = repeated as f64 / images[*i].feature_count().max(1) as f64;
         let points = matches.iter().map(|m| point_pair(&images[*i], &images[*j], *m));
         let points: Vec<PointPair> = points.collect();
-        let geometry = scene_geometry(&points, fewer_features(&images[*i], &images[*j]), size);
-        (geometry.map(|geometry| (matches, points, geometry)), is_neighbor.then_some(part))
+        let found = scene_geometry(&points, fewer_features(&images[*i], &images[*j]), size);
+        let matched = found.map(|SceneGeometry { geometry, fixed }| Matched {
+            matches,
+            points,
+            geometry,
+            fixed,
+        });
+        (matched, is_neighbor.then_some(part))
     });
-    let (matched, repeated): (Vec<Matched>, Vec<Option<f64>>) = compared.into_iter().unzip();
+    let (mut matched, repeated): (Vec<Option<Matched>>, Vec<Option<f64>>) =
+        compared.into_iter().unzip();
+    drop_fixed(images, &pairs, &mut matched, size, threads);
     let mut found = ImagePairs {
         problem: SceneProblem {
             image_size: size,
@@ -176,11 +184,11 @@ pub(super) fn correspond(
             continue;
         }
         if found.same_as[first + 1..second].iter().all(Option::is_some) {
-            let moved = matched.as_ref().filter(|(.., found)| found.kind != TwoViewKind::Still);
-            let inliers = moved.map_or(0, |(.., geometry)| geometry.inliers.len());
+            let moved = matched.as_ref().filter(|of| of.geometry.kind != TwoViewKind::Still);
+            let inliers = moved.map_or(0, |of| of.geometry.inliers.len());
             found.between_neighbors.push(inliers);
         }
-        let Some((matches, points, geometry)) = matched else { continue };
+        let Some(Matched { matches, points, geometry, .. }) = matched else { continue };
         if geometry.kind == TwoViewKind::Still {
             found.still += 1;
             continue;
@@ -201,32 +209,51 @@ pub(super) fn correspond(
 }
 
 /// The matches of a pair of images, with the geometry that they determine.
-type Matched = Option<(Vec<Match>, Vec<PointPair>, TwoViewGeometry)>;
-
-/// The geometry of two images, without what stays at its place in the image while the rest moves: a
-/// time stamp, dirt on the lens. `features` is the feature count of the image that has fewer.
-pub(super) fn scene_geometry(
-    pairs: &[PointPair],
-    features: usize,
-    size: ImageSize,
-) -> Option<TwoViewGeometry> {
-    let geometry = two_view_geometry(pairs, size)?;
-    if geometry.kind != TwoViewKind::Still || is_one_view(&geometry, features) {
-        return Some(geometry);
-    }
-    let moved: Vec<usize> =
-        (0..pairs.len()).filter(|k| geometry.inliers.binary_search(k).is_err()).collect();
-    let rest: Vec<PointPair> = moved.iter().map(|k| pairs[*k]).collect();
-    let Some(mut of_rest) = two_view_geometry(&rest, size) else { return Some(geometry) };
-    of_rest.inliers.iter_mut().for_each(|k| *k = moved[*k]);
-    Some(of_rest)
+struct Matched {
+    matches: Vec<Match>,
+    points: Vec<PointPair>,
+    geometry: TwoViewGeometry,
+    /// The matches that are known to be fixed to the camera.
+    fixed: Vec<usize>,
 }
 
-/// Whether `geometry` is that of two images of one view: nothing moved. `features` is the feature
-/// count of the image that has fewer.
-pub(super) fn is_one_view(geometry: &TwoViewGeometry, features: usize) -> bool {
-    let stayed = geometry.inliers.len() as f64;
-    geometry.kind == TwoViewKind::Still && stayed >= SAME_VIEW_FRACTION * features as f64
+/// Finds the geometry of pairs anew without what other pairs show to be fixed to the camera. Images
+/// that share nothing else show the robot's own body only, which is no reason to take them for one
+/// view.
+fn drop_fixed(
+    images: &[SceneImage],
+    pairs: &[(usize, usize)],
+    matched: &mut [Option<Matched>],
+    size: ImageSize,
+    threads: usize,
+) {
+    let mut fixed: Vec<BTreeSet<usize>> = vec![BTreeSet::new(); images.len()];
+    for ((first, second), of) in pairs.iter().zip(matched.iter()) {
+        let Some(of) = of else { continue };
+        for Match { first: a, second: b } in of.fixed.iter().map(|k| of.matches[*k]) {
+            fixed[*first].insert(images[*first].keypoint_of(a));
+            fixed[*second].insert(images[*second].keypoint_of(b));
+        }
+    }
+    let numbers: Vec<usize> = (0..pairs.len()).collect();
+    let again = in_parallel(&numbers, threads, |number| {
+        let (first, second) = pairs[*number];
+        let of = matched[*number].as_ref().filter(|of| of.fixed.is_empty())?;
+        let is_fixed = |k: &usize| {
+            let Match { first: a, second: b } = of.matches[*k];
+            let is_known = |image: usize, feature: usize| {
+                fixed[image].contains(&images[image].keypoint_of(feature))
+            };
+            stayed(&of.points[*k]) && (is_known(first, a) || is_known(second, b))
+        };
+        let (fixed, rest): (Vec<usize>, Vec<usize>) =
+            (0..of.points.len()).partition(|k| is_fixed(k));
+        (!fixed.is_empty()).then(|| geometry_of(&of.points, &rest, size))
+    });
+    for (of, again) in matched.iter_mut().zip(again) {
+        let Some(found) = again else { continue };
+        *of = of.take().zip(found).map(|(of, geometry)| Matched { geometry, ..of });
+    }
 }
 
 fn fewer_features(first: &SceneImage, second: &SceneImage) -> usize {
@@ -237,11 +264,11 @@ fn fewer_features(first: &SceneImage, second: &SceneImage) -> usize {
 /// in a slow motion, an image is compared with the last one kept, not with its predecessor.
 fn same_views<'a>(
     images: &[SceneImage],
-    matched: impl Iterator<Item = (&'a (usize, usize), &'a Matched)>,
+    matched: impl Iterator<Item = (&'a (usize, usize), &'a Option<Matched>)>,
 ) -> Vec<Option<usize>> {
-    let is_same = |((first, second), matched): &(&(usize, usize), &Matched)| {
+    let is_same = |((first, second), matched): &(&(usize, usize), &Option<Matched>)| {
         let features = fewer_features(&images[*first], &images[*second]);
-        matched.as_ref().is_some_and(|(.., geometry)| is_one_view(geometry, features))
+        matched.as_ref().is_some_and(|of| is_one_view(&of.geometry, features))
     };
     let same: Vec<(usize, usize)> = matched.filter(is_same).map(|(pair, _)| *pair).collect();
     let mut same_as = vec![None; images.len()];

@@ -3,9 +3,8 @@
 //! replay keeps the same ones.
 
 use crate::calibration::admission::Rejection;
-use crate::calibration::scene::correspondence::{
-    SceneImage, is_one_view, point_pair, scene_geometry,
-};
+use crate::calibration::scene::correspondence::{SceneImage, point_pair};
+use crate::calibration::scene::pair_geometry::{is_one_view, scene_geometry};
 use crate::calibration::view::FrameFacts;
 use crate::estimation::two_view::PointPair;
 use crate::estimation::two_view::degeneracy::{TwoViewGeometry, TwoViewKind};
@@ -97,6 +96,7 @@ pub fn shared_points(key_frame: &SceneImage, image: &SceneImage) -> Vec<PointPai
     let pairs = strongest_matches(key_frame, image);
     let features = compared_features(key_frame, image);
     let geometry = scene_geometry(&pairs, features, image.size)
+        .map(|found| found.geometry)
         .filter(|found| found.kind != TwoViewKind::Still || is_one_view(found, features));
     geometry.map_or_else(Vec::new, |found| found.inliers.iter().map(|k| pairs[*k]).collect())
 }
@@ -128,7 +128,7 @@ impl KeyFrameStep {
     fn between(first: &SceneImage, second: &SceneImage) -> Option<Self> {
         let pairs = strongest_matches(first, second);
         let features = compared_features(first, second);
-        let geometry = scene_geometry(&pairs, features, second.size)?;
+        let geometry = scene_geometry(&pairs, features, second.size)?.geometry;
         if geometry.kind == TwoViewKind::Still {
             let step = Self { motion: 0.0, lost: 0.0 };
             return is_one_view(&geometry, features).then_some(step);

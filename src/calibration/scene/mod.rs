@@ -18,6 +18,7 @@ pub mod key_frames;
 mod lens_fit;
 mod localization;
 mod one_camera;
+mod pair_geometry;
 pub mod refusal;
 pub mod result;
 mod scene_frame;

@@ -58,10 +58,10 @@ const HOMOGRAPHY_PART: f64 = 0.8;
 const LOG_NO_CHANCE: f64 = -13.8;
 
 /// The least number of inliers: fewer fit by chance too easily.
-const LEAST_INLIERS: usize = 16;
+pub(crate) const LEAST_INLIERS: usize = 16;
 
 /// A displacement below this is no motion, in pixels.
-const STILL_PX: f64 = 0.5;
+pub(crate) const STILL_PX: f64 = 0.5;
 
 /// The geometry whose inliers are the least likely to arise by chance; `None` where chance explains
 /// them, or where there are too few.
