@@ -93,6 +93,17 @@ pub(crate) fn comparable(
     (!given.is_empty()).then_some((given, choice))
 }
 
+impl FreeEstimate<'_> {
+    /// A given parameter compared with this estimate; `None` if this lens has none of its name.
+    pub(crate) fn difference(&self, given: &GivenParameter) -> Option<GivenDifference> {
+        let names = Lens::parameter_names(self.lens.model());
+        let index = names.iter().position(|name| *name == given.name)?;
+        let std = self.covariance[(index, index)].sqrt() * self.widening;
+        let estimated = self.lens.parameters()[index];
+        Some(GivenDifference { name: names[index], given: given.value, estimated, std })
+    }
+}
+
 impl GivenMisfit {
     /// `None` if `given` fits. `held` is the lens that was estimated with it, where there is one.
     pub(crate) fn of(
@@ -102,13 +113,11 @@ impl GivenMisfit {
     ) -> Option<Self> {
         let FreeEstimate { lens, covariance, widening, image_size } = free;
         let names = Lens::parameter_names(lens.model());
-        let estimated = lens.parameters();
         // Skew is 0 unless it is estimated.
         let compared = |parameter: &GivenParameter| {
             let index = names.iter().position(|name| *name == parameter.name)?;
-            let std = covariance[(index, index)].sqrt() * widening;
-            let (name, given, estimated) = (names[index], parameter.value, estimated[index]);
-            (std > 0.0).then_some((index, GivenDifference { name, given, estimated, std }))
+            let difference = free.difference(parameter).filter(|it| it.std > 0.0)?;
+            Some((index, difference))
         };
         let (indices, mut parameters): (Vec<usize>, Vec<GivenDifference>) =
             given.iter().filter_map(compared).unzip();
@@ -148,6 +157,14 @@ impl GivenMisfit {
 }
 
 impl GivenDifference {
+    /// A parameter of a camera matrix that the images do not determine.
+    pub(crate) fn unknown(given: &GivenParameter) -> Option<Self> {
+        let model = LensModel::ALL.first()?;
+        let mut names = Lens::parameter_names(*model).into_iter().take(Lens::FIRST_COEFFICIENT);
+        let name = names.find(|name| *name == given.name)?;
+        Some(Self { name, given: given.value, estimated: f64::NAN, std: f64::INFINITY })
+    }
+
     fn sigmas(&self) -> f64 {
         ((self.given - self.estimated) / self.std).abs()
     }

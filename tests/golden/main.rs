@@ -36,6 +36,7 @@ mod rig;
 mod rig_of_devices;
 mod running_estimate;
 mod scene_depth;
+mod scene_photographs;
 mod seeded_camera;
 mod seeded_rgbd;
 #[path = "../system/shared_data.rs"]

@@ -11,6 +11,8 @@ pub(super) struct LensFit {
     pub covariance: LensCovariance,
     /// The posterior probability that the images are crops.
     pub cropped: f64,
+    /// The posterior probability that pixels are not square.
+    pub stretched: f64,
 }
 
 /// When a fit stops. The limit is a guard: from 1.8 times the focal length 60 steps reach the

@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::calibration::scene::cropping::averaged_over_cropping;
+use crate::calibration::scene::altered_images::averaged_over_alterations;
 use crate::calibration::scene::fitted_lens::{FITTING, LensFit};
 use crate::calibration::scene::refusal::SceneRefusal;
 use crate::estimation::problem::{GivenParameter, LensChoice};
@@ -156,7 +156,7 @@ fn fit_model(
     fit.state = fit.bundle.minimize(fit.state, FITTING);
     let covariance =
         lens_covariance(&fit.bundle, &fit.state, widened).ok_or(SceneRefusal::NoFit)?;
-    Ok(averaged_over_cropping(LensFit { fit, covariance, cropped: 0.0 }))
+    Ok(averaged_over_alterations(LensFit { fit, covariance, cropped: 0.0, stretched: 0.0 }))
 }
 
 /// Whether `model` belongs to the family of Brown's polynomials.

@@ -8,13 +8,13 @@
 //!        --depth_scale--> lengths in meters, where depth was measured too
 //! ```
 
-pub mod conditions;
+pub mod altered_images;
+mod conditions;
 pub mod correspondence;
-mod cropping;
 pub mod depth_scale;
 mod fitted_lens;
-mod focal_lengths;
 pub mod key_frames;
+mod lens_differences;
 mod lens_fit;
 mod localization;
 mod one_camera;

@@ -1,13 +1,14 @@
 //! Tests of seeded scenes with exact ground truth: errors compared with their predictions, and
 //! refusals.
 
-use nalgebra::{Point2, Point3, Vector3};
+use nalgebra::{Point2, Point3, Vector2, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::conditions::SceneConditions;
 use super::correspondence::SceneImage;
 use super::fitted_lens::LensFit;
+use super::lens_differences::{self, OwnLensDifference, other_lenses};
 use super::lens_fit::fit_lens;
 use super::{SceneOptions, SceneRefusal, calibrate_scene};
 use crate::estimation::interrupt::Interrupt;
@@ -98,9 +99,13 @@ fn scene(seed: u64, motion: Motion) -> (SceneProblem, Vec<ImagePair>) {
     }
     let interrupt = Interrupt::default();
     let problem = SceneProblem { image_size: SIZE, images: 8, tracks, interrupt };
-    let pairs = (0..8).flat_map(|i| (i + 1..8).map(move |j| (i, j)));
-    let pairs = pairs.filter_map(|(i, j)| pair(&problem, i, j)).collect();
+    let pairs = pairs(&problem);
     (problem, pairs)
+}
+
+fn pairs(problem: &SceneProblem) -> Vec<ImagePair> {
+    let pairs = (0..8).flat_map(|i| (i + 1..8).map(move |j| (i, j)));
+    pairs.filter_map(|(i, j)| pair(problem, i, j)).collect()
 }
 
 fn pair(problem: &SceneProblem, first: usize, second: usize) -> Option<ImagePair> {
@@ -156,6 +161,64 @@ fn more_coefficients_than_needed_do_no_harm() {
         let matrix = found.fit.state.lens.matrix;
         let std = found.covariance.matrix[(0, 0)].sqrt();
         assert!((matrix.fx - 1150.0).abs() < 3.0 * std && std < 12.0, "{model} {matrix:?} {std}");
+    }
+}
+
+#[test]
+fn images_rotated_by_half_a_circle_are_named() {
+    for seed in 0..3 {
+        for rotates in [false, true] {
+            let (mut problem, _) = scene(seed, Motion::Orbit);
+            for seen in problem.tracks.iter_mut().flatten() {
+                if rotates && seen.image % 2 == 1 {
+                    let (right, bottom) = (f64::from(SIZE.width - 1), f64::from(SIZE.height - 1));
+                    seen.pixel = Pixel::new(right - seen.pixel.x, bottom - seen.pixel.y);
+                }
+            }
+            let start = reconstruct_best(&problem, &pairs(&problem), None).unwrap();
+            let mut fit = fit_lens(&start, LensChoice::Model(LensModel::Radial), &[]).unwrap();
+            let others = other_lenses(&start, &fit);
+            assert_eq!(others.is_some(), rotates, "seed {seed}: {others:?}");
+            let Some(others) = others else { continue };
+            let OwnLensDifference::Center { offset_px, .. } = others.difference else {
+                panic!("{others:?}");
+            };
+            // The principal point is 12.5 px to the right of the middle and 8.5 px above it.
+            let is_odd = others.poses.iter().all(|pose| start.images[*pose] % 2 == 1);
+            let expected = Vector2::new(-25.0, 17.0) * if is_odd { 1.0 } else { -1.0 };
+            assert!((offset_px - expected).norm() < 3.0, "seed {seed}: {others:?}");
+            lens_differences::widen(&mut fit, &others);
+            let (found, truth) = (fit.fit.state.lens.parameters(), truth().parameters());
+            for k in [Lens::CX, Lens::CY] {
+                let std = fit.covariance.matrix[(k, k)].sqrt();
+                assert!((found[k] - truth[k]).abs() < 2.0 * std, "{} ± {std}", found[k]);
+            }
+        }
+    }
+}
+
+#[test]
+fn pixels_that_are_not_square_are_found() {
+    const ASPECT: f64 = 1.067;
+    for seed in 0..3 {
+        let (mut problem, pairs) = scene(seed, Motion::Orbit);
+        let square = reconstruct_best(&problem, &pairs, None).unwrap();
+        let fit = fit_lens(&square, LensChoice::Model(LensModel::Radial), &[]).unwrap();
+        assert!(fit.stretched < 0.01, "seed {seed}: {}", fit.stretched);
+        problem.image_size = ImageSize::new(1200, 960);
+        let narrowed = |x: f64| (x + 0.5) / ASPECT - 0.5;
+        for seen in problem.tracks.iter_mut().flatten() {
+            seen.pixel = Pixel::new(narrowed(seen.pixel.x), seen.pixel.y);
+        }
+        let start = reconstruct_best(&problem, &self::pairs(&problem), None).unwrap();
+        let fit = fit_lens(&start, LensChoice::Model(LensModel::Radial), &[]).unwrap();
+        assert!(fit.stretched > 0.99, "seed {seed}: {}", fit.stretched);
+        let (found, matrix) = (fit.fit.state.lens.parameters(), truth().matrix);
+        let expected = [matrix.fx / ASPECT, matrix.fy, narrowed(matrix.cx), matrix.cy];
+        for (k, expected) in expected.into_iter().enumerate() {
+            let std = fit.covariance.matrix[(k, k)].sqrt();
+            assert!((found[k] - expected).abs() < 3.0 * std, "{k}: {} ± {std}", found[k]);
+        }
     }
 }
 

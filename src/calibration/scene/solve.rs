@@ -6,17 +6,17 @@ use crate::calibration::result::{Checks, ProjectionUncertainty};
 use crate::calibration::scene::conditions::SceneConditions;
 use crate::calibration::scene::correspondence::{ImagePairs, SceneImage, correspond};
 use crate::calibration::scene::fitted_lens::LensFit;
-use crate::calibration::scene::focal_lengths::{self, other_focals};
+use crate::calibration::scene::lens_differences::{self, other_lenses};
 use crate::calibration::scene::lens_fit::{fit_lens, with_free_distortion};
 use crate::calibration::scene::localization::localize;
 use crate::calibration::scene::one_camera::{check_one_camera, states_cropping};
 use crate::calibration::scene::refusal::SceneRefusal;
 use crate::calibration::scene::result::{SceneCalibration, SceneSensor, SceneView};
 use crate::calibration::scene::scene_frame::{SceneFrame, coverage, scene_points, view};
-use crate::calibration::scene::verdict::{self, Evidence};
+use crate::calibration::scene::verdict::{self, Evidence, GivenEvidence};
 use crate::estimation::camera::check_given;
 use crate::estimation::error::EstimationError;
-use crate::estimation::given_misfit::{FreeEstimate, GivenMisfit, comparable};
+use crate::estimation::given_misfit::{FreeEstimate, GivenDifference, GivenMisfit, comparable};
 use crate::estimation::interrupt::Interrupt;
 use crate::estimation::problem::{GivenParameter, LensChoice};
 use crate::estimation::scene::bundle::{BundleStop, CameraMotion};
@@ -113,14 +113,14 @@ pub fn calibrate_scene(
     let fitted = match fitted(images, &found, options) {
         Ok(fitted) => fitted,
         Err(refusal) => {
-            let misfit = given_misfit(images, &found, options, None);
+            let given = given_evidence(images, &found, options, None);
             goes_on()?;
-            return Err(misfit.map_or(refusal, SceneRefusal::Contradicted));
+            return Err(given.misfit.map_or(refusal, SceneRefusal::Contradicted));
         }
     };
-    let misfit = given_misfit(images, &found, options, Some(&fitted.fit.fit.state.lens));
+    let given = given_evidence(images, &found, options, Some(&fitted.fit.fit.state.lens));
     goes_on()?;
-    let mut calibration = finished(images, &fitted, &found, misfit.as_ref());
+    let mut calibration = finished(images, &fitted, &found, &given);
     let sensor = &calibration.sensor;
     let focal = (sensor.lens.matrix.fx, sensor.lens_std[Lens::FX]);
     let unfit = options.nominal_focal.and_then(|nominal| verdict::unfit_focal(nominal, focal));
@@ -133,8 +133,8 @@ struct FittedScene {
     start: Reconstruction,
     fit: LensFit,
     conditions: SceneConditions,
-    /// The reason to give if the images have different focal lengths.
-    different_focals: Option<String>,
+    /// The reason to give if the images differ in focal length or principal point.
+    different_lenses: Option<String>,
 }
 
 /// Fits the lens to what the images have in common.
@@ -155,34 +155,40 @@ fn fitted(
     let fit = fit_lens(&start, options.lens, &options.given);
     goes_on()?;
     let mut fit = fit?;
-    let others = other_focals(&start, &fit);
+    let others = other_lenses(&start, &fit);
     if let Some(others) = &others {
-        focal_lengths::widen(&mut fit, others);
+        lens_differences::widen(&mut fit, others);
     }
     let conditions = SceneConditions::of(&fit.fit.bundle, &fit.fit.state);
     check_determined(&fit, &conditions, found, &start)
         .map_err(|refusal| explained(refusal, found))?;
     let name = |pose: usize| images[start.images[pose]].name.clone();
-    let different_focals = others.map(|others| focal_lengths::reason(&others, name));
-    Ok(FittedScene { start, fit, conditions, different_focals })
+    let different_lenses = others.map(|others| lens_differences::reason(&others, name));
+    Ok(FittedScene { start, fit, conditions, different_lenses })
 }
 
-/// What the images contradict of the given parameters, by a fit without them; `held` is the lens
-/// with them, if there is one.
-fn given_misfit(
+/// What the images say of the given parameters, by a fit without them; `held` is the lens with
+/// them, if there is one.
+fn given_evidence(
     images: &[SceneImage],
     found: &ImagePairs,
     options: &SceneOptions,
     held: Option<&Lens>,
-) -> Option<GivenMisfit> {
-    let (given, lens) = comparable(&options.given, options.lens, held)?;
+) -> GivenEvidence {
+    let Some((given, lens)) = comparable(&options.given, options.lens, held) else {
+        return GivenEvidence::default();
+    };
     let free = SceneOptions { lens, given: Vec::new(), ..options.clone() };
-    let FittedScene { fit, .. } = fitted(images, found, &free).ok()?;
+    let Ok(FittedScene { fit, .. }) = fitted(images, found, &free) else {
+        let parameters = given.iter().filter_map(GivenDifference::unknown).collect();
+        return GivenEvidence { misfit: None, parameters };
+    };
     let lens = &fit.fit.state.lens;
     let covariance = full_covariance(lens, &fit.fit.bundle.free, &fit.covariance.matrix);
     let image_size = found.problem.image_size;
     let free = FreeEstimate { lens, covariance: &covariance, widening: 1.0, image_size };
-    GivenMisfit::of(&given, held, free)
+    let parameters = given.iter().filter_map(|given| free.difference(given)).collect();
+    GivenEvidence { misfit: GivenMisfit::of(&given, held, free), parameters }
 }
 
 /// Whether the lens model, or one of those to choose from, has the given parameters.
@@ -354,9 +360,9 @@ fn finished(
     images: &[SceneImage],
     fitted: &FittedScene,
     found: &ImagePairs,
-    given_misfit: Option<&GivenMisfit>,
+    given: &GivenEvidence,
 ) -> SceneCalibration {
-    let FittedScene { start, fit, conditions, different_focals } = fitted;
+    let FittedScene { start, fit, conditions, different_lenses } = fitted;
     let (state, bundle) = (&fit.fit.state, &fit.fit.bundle);
     let (lens, size) = (state.lens, found.problem.image_size);
     let frame = SceneFrame::of(start, &state.cameras_from_scene);
@@ -393,9 +399,10 @@ fn finished(
         map: map.as_ref(),
         used: start.images.len(),
         views: found.views(),
-        different_focals: different_focals.clone(),
-        given_misfit,
+        different_lenses: different_lenses.clone(),
+        given,
         held_by_prior: &held_by_prior,
+        aspect_held: is_aspect_held(&lens, fit),
     };
     let sensor = SceneSensor {
         image_size: size,
@@ -434,4 +441,15 @@ fn held_by_prior(lens: &Lens, fit: &LensFit) -> Vec<&'static str> {
         after > HELD_STD_RATIO * before[**parameter]
     });
     held.map(|(_, parameter)| names[*parameter]).collect()
+}
+
+/// Whether the prior of fy / fx holds it.
+fn is_aspect_held(lens: &Lens, fit: &LensFit) -> bool {
+    let bundle = &fit.fit.bundle;
+    let covariance = full_covariance(lens, &bundle.free, &fit.covariance.independent);
+    let [x, y] = [1.0 / lens.matrix.fx, 1.0 / lens.matrix.fy];
+    let variance = x * x * covariance[(Lens::FX, Lens::FX)]
+        + y * y * covariance[(Lens::FY, Lens::FY)]
+        - 2.0 * x * y * covariance[(Lens::FX, Lens::FY)];
+    variance.sqrt() > HELD_STD_RATIO * bundle.prior.aspect_std()
 }

@@ -3,9 +3,10 @@
 use crate::calibration::given_misfit::contradiction;
 use crate::calibration::known_image::KnownImage;
 use crate::calibration::result::{Finding, Grade, Verdict};
+use crate::calibration::rounded::value_with_std;
 use crate::calibration::scene::conditions::SceneConditions;
 use crate::calibration::scene::fitted_lens::LensFit;
-use crate::estimation::given_misfit::GivenMisfit;
+use crate::estimation::given_misfit::{GivenDifference, GivenMisfit};
 use crate::estimation::scene::bundle::CameraMotion;
 use crate::estimation::uncertainty::UncertaintyMap;
 use crate::imaging::nominal_focal::NominalFocal;
@@ -28,6 +29,16 @@ const ROLLED_DEG: f64 = 30.0;
 /// gives one in 370.
 const EXCLUDED_SIGMAS: f64 = 3.0;
 
+/// What the images alone say of given parameters.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(super) struct GivenEvidence {
+    /// What they contradict.
+    pub misfit: Option<GivenMisfit>,
+    /// Each given parameter with its estimate; with an infinite standard deviation where there is
+    /// none.
+    pub parameters: Vec<GivenDifference>,
+}
+
 /// What the verdict rests on.
 pub(super) struct Evidence<'a> {
     pub fit: &'a LensFit,
@@ -36,11 +47,13 @@ pub(super) struct Evidence<'a> {
     pub used: usize,
     /// Images of different views.
     pub views: usize,
-    /// The reason to give if the images have different focal lengths.
-    pub different_focals: Option<String>,
-    /// What the images contradict of the given parameters.
-    pub given_misfit: Option<&'a GivenMisfit>,
+    /// The reason to give if the images differ in focal length or principal point.
+    pub different_lenses: Option<String>,
+    /// What the images alone say of the given parameters.
+    pub given: &'a GivenEvidence,
     pub held_by_prior: &'a [&'static str],
+    /// Whether fy / fx is held by its prior.
+    pub aspect_held: bool,
 }
 
 /// The standard deviation of fx over fx; 0 where it was given.
@@ -54,8 +67,10 @@ pub(super) fn relative_focal_std(fit: &LensFit) -> f64 {
 pub(super) fn judge(evidence: &Evidence<'_>) -> Verdict {
     let findings = [
         contradicted(evidence),
-        evidence.different_focals.clone().map(|reason| Finding { grade: Grade::Poor, reason }),
+        unverified(evidence),
+        evidence.different_lenses.clone().map(|reason| Finding { grade: Grade::Poor, reason }),
         cropped(evidence),
+        stretched(evidence),
         unused_images(evidence),
         focal(evidence),
         projections(evidence),
@@ -68,8 +83,26 @@ pub(super) fn judge(evidence: &Evidence<'_>) -> Verdict {
 }
 
 fn contradicted(evidence: &Evidence<'_>) -> Option<Finding> {
-    let reason = contradiction(evidence.given_misfit?, "images");
+    let reason = contradiction(evidence.given.misfit.as_ref()?, "images");
     Some(Finding { grade: Grade::Poor, reason })
+}
+
+/// Given values that the images alone know worse than a good calibration does.
+fn unverified(evidence: &Evidence<'_>) -> Option<Finding> {
+    let GivenEvidence { misfit, parameters } = evidence.given;
+    let least = FOCAL_STD[0] * evidence.fit.fit.state.lens.matrix.fx;
+    let is_open =
+        |it: &&GivenDifference| ["fx", "fy", "cx", "cy"].contains(&it.name) && !(it.std <= least);
+    let each = |it: &GivenDifference| match it.std.is_finite() {
+        true => format!("{} (as {})", it.name, value_with_std(it.estimated, it.std)),
+        false => format!("{} (not at all)", it.name),
+    };
+    let names: Vec<String> = parameters.iter().filter(is_open).map(each).collect();
+    let reason = format!(
+        "the images cannot verify what is given: they determine {} by themselves",
+        names.join(", ")
+    );
+    (misfit.is_none() && !names.is_empty()).then_some(Finding { grade: Grade::Usable, reason })
 }
 
 fn unused_images(evidence: &Evidence<'_>) -> Option<Finding> {
@@ -187,14 +220,32 @@ fn cropped(evidence: &Evidence<'_>) -> Option<Finding> {
     (*cropped > 0.5).then_some(Finding { grade: Grade::Good, reason })
 }
 
-fn held(evidence: &Evidence<'_>) -> Option<Finding> {
-    let names = evidence.held_by_prior.join(", ");
-    let is_center = ["cx", "cy"].iter().any(|name| evidence.held_by_prior.contains(name));
-    let whole = if is_center { " (which assumes uncropped images)" } else { "" };
+fn stretched(evidence: &Evidence<'_>) -> Option<Finding> {
+    let matrix = evidence.fit.fit.state.lens.matrix;
+    let ratio = matrix.fy / matrix.fx;
     let reason = format!(
-        "the images do not determine {names} beyond the prior for ordinary lenses{whole}: rotate the camera by 90 degrees about its axis for some images"
+        "the images seem to be stretched: fy / fx is {ratio:.3}; use images as the camera made them if available"
     );
-    (!evidence.held_by_prior.is_empty()).then_some(Finding { grade: Grade::Usable, reason })
+    (evidence.fit.stretched > 0.5).then_some(Finding { grade: Grade::Good, reason })
+}
+
+fn held(evidence: &Evidence<'_>) -> Option<Finding> {
+    let mut names = evidence.held_by_prior.to_vec();
+    if evidence.aspect_held {
+        names.push("fy / fx");
+    }
+    let is_center = ["cx", "cy"].iter().any(|name| evidence.held_by_prior.contains(name));
+    let assumed = match (is_center, evidence.aspect_held) {
+        (true, true) => " (which assumes uncropped images with square pixels)",
+        (true, false) => " (which assumes uncropped images)",
+        (false, true) => " (which assumes square pixels)",
+        (false, false) => "",
+    };
+    let list = names.join(", ");
+    let reason = format!(
+        "the images do not determine {list} beyond the prior for ordinary lenses{assumed}: rotate the camera by 90 degrees about its axis for some images"
+    );
+    (!names.is_empty()).then_some(Finding { grade: Grade::Usable, reason })
 }
 
 #[cfg(test)]

@@ -13,9 +13,13 @@ const MOUNTED_STD: f64 = 0.02;
 /// of the whole, and within 0.2 in the root mean square.
 const CROPPED_STD: f64 = 0.2;
 
-/// The standard deviation of fy / fx about 1: pixels are square, except for how images were
-/// resampled.
-const ASPECT_STD: f64 = 0.002;
+/// The standard deviation of fy / fx about 1: pixels are square, except for how lenses and scaled
+/// sizes are rounded.
+const SQUARE_STD: f64 = 0.002;
+
+/// The same where images were stretched: in common video standards and camera modes fy / fx is 0.91
+/// to 1.09.
+const STRETCHED_STD: f64 = 0.1;
 
 /// Independent Gaussian priors on a lens's parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,6 +28,8 @@ pub struct LensPrior {
     pub image_size: ImageSize,
     /// Whether the image may be a crop of the camera's.
     pub cropped: bool,
+    /// Whether width and height may be scaled by different factors.
+    pub stretched: bool,
 }
 
 /// One term of a prior: a residual in standard deviations, and its derivatives by parameters (in
@@ -37,14 +43,19 @@ pub struct PriorTerm {
 }
 
 impl LensPrior {
-    /// For images that are not cropped.
+    /// For images that are neither cropped nor stretched.
     pub const fn of_whole(image_size: ImageSize) -> Self {
-        Self { image_size, cropped: false }
+        Self { image_size, cropped: false, stretched: false }
     }
 
     /// The standard deviation of the principal point, in pixels.
     pub fn center_std_px(&self) -> f64 {
         f64::from(self.image_size.width) * if self.cropped { CROPPED_STD } else { MOUNTED_STD }
+    }
+
+    /// The standard deviation of fy / fx.
+    pub const fn aspect_std(&self) -> f64 {
+        if self.stretched { STRETCHED_STD } else { SQUARE_STD }
     }
 
     /// The prior standard deviation of each parameter, in the order of [`Lens::parameters`];
@@ -69,11 +80,12 @@ impl LensPrior {
         let (parameters, std) = (lens.parameters(), self.std(lens.model()));
         let mean = self.mean(lens.model());
         let ratio = parameters[Lens::FY] / parameters[Lens::FX];
+        let aspect_std = self.aspect_std();
         let mut terms = vec![PriorTerm {
-            residual: (ratio - 1.0) / ASPECT_STD,
+            residual: (ratio - 1.0) / aspect_std,
             by_parameters: vec![
-                (Lens::FX, -ratio / parameters[Lens::FX] / ASPECT_STD),
-                (Lens::FY, 1.0 / parameters[Lens::FX] / ASPECT_STD),
+                (Lens::FX, -ratio / parameters[Lens::FX] / aspect_std),
+                (Lens::FY, 1.0 / parameters[Lens::FX] / aspect_std),
             ],
         }];
         for (k, value) in parameters

@@ -19,8 +19,8 @@ mod clusters;
 pub mod covariance;
 #[cfg(test)]
 mod covariance_tests;
-pub mod focal_by_image;
 pub mod hypotheses;
+pub mod lens_by_image;
 pub mod lens_prior;
 pub mod metric_scale;
 mod parts;
