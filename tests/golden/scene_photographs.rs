@@ -5,7 +5,7 @@ use image::imageops::{self, FilterType};
 use plumb::calibration::result::Grade;
 use plumb::calibration::scene::correspondence::SceneImage;
 use plumb::calibration::scene::{SceneCalibration, SceneOptions, calibrate_scene};
-use plumb::estimation::problem::LensChoice;
+use plumb::estimation::problem::{GivenParameter, LensChoice};
 use plumb::geometry::lens::LensModel;
 use plumb::imaging::gray::GrayImage as Gray;
 
@@ -13,16 +13,22 @@ use crate::shared_data::shared_data;
 
 const WIDTH: u32 = 1024;
 
-/// The photographs in a folder of the real images, in the order of their names, reduced.
+/// The photographs in a folder of the real images, in the order of their names, reduced where they
+/// are larger.
 fn photographs(folder: &str) -> Option<Vec<GrayImage>> {
     let entries = std::fs::read_dir(shared_data(folder)?).unwrap();
     let mut paths: Vec<_> = entries.map(|entry| entry.unwrap().path()).collect();
     paths.retain(|path| {
-        path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("jpg"))
+        let is =
+            |extension: &str| path.extension().is_some_and(|of| of.eq_ignore_ascii_case(extension));
+        is("jpg") || is("png")
     });
     paths.sort();
     let reduced = |path| {
         let image: GrayImage = image::open(path).unwrap().to_luma8();
+        if image.width() <= WIDTH {
+            return image;
+        }
         let height = (image.height() * WIDTH + image.width() / 2) / image.width();
         imageops::resize(&image, WIDTH, height, FilterType::Triangle)
     };
@@ -30,6 +36,10 @@ fn photographs(folder: &str) -> Option<Vec<GrayImage>> {
 }
 
 fn calibrated(images: &[GrayImage]) -> SceneCalibration {
+    calibrated_with(images, Vec::new())
+}
+
+fn calibrated_with(images: &[GrayImage], given: Vec<GivenParameter>) -> SceneCalibration {
     let scene_image = |(k, image): (usize, &GrayImage)| {
         let (width, height) = (image.width() as usize, image.height() as usize);
         let gray = Gray::from_pixels(width, height, image.as_raw().clone()).unwrap();
@@ -37,7 +47,8 @@ fn calibrated(images: &[GrayImage]) -> SceneCalibration {
     };
     let images: Vec<SceneImage> = images.iter().enumerate().map(scene_image).collect();
     let lens = LensChoice::Model(LensModel::Brown);
-    calibrate_scene(&images, &SceneOptions { lens, threads: 2, ..SceneOptions::default() }).unwrap()
+    let options = SceneOptions { lens, given, threads: 2, ..SceneOptions::default() };
+    calibrate_scene(&images, &options).unwrap()
 }
 
 /// The focal length and principal point of Strecha's ground truth (2759.48 2764.16 1520.69 1006.81
@@ -89,6 +100,20 @@ fn a_camera_that_stabilizes_its_images_is_named() {
     let Some(images) = photographs("sceaux") else { return };
     let reasons = calibrated(&images).verdict.reasons.join("\n");
     assert!(reasons.contains("images differ in principal point"), "{reasons}");
+}
+
+/// These photographs determine neither the focal length to 1 % nor the pixels' aspect.
+#[test]
+fn what_is_given_and_cannot_be_verified_is_named() {
+    let Some(images) = photographs("temple-ring") else { return };
+    // The truth is 1520.4.
+    let given = GivenParameter { name: "fx".to_owned(), value: 1475.0 };
+    let found = calibrated_with(&images, vec![given]);
+    let reasons = found.verdict.reasons.join("\n");
+    let named = "cannot verify what is given: alone they determine fx only as 15";
+    assert!(found.verdict.grade != Grade::Good && reasons.contains(named), "{reasons}");
+    assert!(reasons.contains("fy / fx beyond the prior"), "{reasons}");
+    assert!(reasons.contains("square pixels"), "{reasons}");
 }
 
 #[test]

@@ -160,7 +160,7 @@ pub(super) fn correspond(
     });
     let (mut matched, repeated): (Vec<Option<Matched>>, Vec<Option<f64>>) =
         compared.into_iter().unzip();
-    drop_fixed(images, &pairs, &mut matched, size, threads);
+    drop_fixed(images, &pairs, &mut matched, size, (threads, interrupt));
     let mut found = ImagePairs {
         problem: SceneProblem {
             image_size: size,
@@ -225,7 +225,7 @@ fn drop_fixed(
     pairs: &[(usize, usize)],
     matched: &mut [Option<Matched>],
     size: ImageSize,
-    threads: usize,
+    (threads, interrupt): (usize, &Interrupt),
 ) {
     let mut fixed: Vec<BTreeSet<usize>> = vec![BTreeSet::new(); images.len()];
     for ((first, second), of) in pairs.iter().zip(matched.iter()) {
@@ -238,7 +238,8 @@ fn drop_fixed(
     let numbers: Vec<usize> = (0..pairs.len()).collect();
     let again = in_parallel(&numbers, threads, |number| {
         let (first, second) = pairs[*number];
-        let of = matched[*number].as_ref().filter(|of| of.fixed.is_empty())?;
+        let goes_on = |of: &&Matched| of.fixed.is_empty() && !interrupt.is_requested();
+        let of = matched[*number].as_ref().filter(goes_on)?;
         let is_fixed = |k: &usize| {
             let Match { first: a, second: b } = of.matches[*k];
             let is_known = |image: usize, feature: usize| {

@@ -2,7 +2,7 @@
 //! lengths differ if they are from two cameras, if the zoom was moved, or if the autofocus followed
 //! the scene; their principal points, if some were rotated by 180 degrees, cropped or stabilized.
 
-use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
+use nalgebra::{DMatrix, DMatrixView, DVector, Matrix2, Vector2};
 
 use crate::calibration::scene::fitted_lens::LensFit;
 use crate::estimation::scene::bundle::Bundle;
@@ -13,12 +13,12 @@ use crate::geometry::lens::Lens;
 /// Images whose lens differs from the others'.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct OtherLenses {
-    /// The smaller group of images, as indices of poses.
+    /// The smaller group of images, as indices of poses, in the order of the images.
     pub poses: Vec<usize>,
     /// How it differs.
     pub difference: OwnLensDifference,
-    /// The square of the difference in standard deviations.
-    square: f64,
+    /// The square of the difference over its critical value.
+    significance: f64,
 }
 
 /// How a group of images differs from the others.
@@ -48,38 +48,42 @@ const LEAST_FOCAL_DIFFERENCE: f64 = 0.005;
 /// lengths moves the left and right edges by as much.
 const LEAST_CENTER_DIFFERENCE: f64 = 0.5 * LEAST_FOCAL_DIFFERENCE;
 
-/// Images whose focal length or principal point, whichever differs more significantly, is not that
-/// of the others. Uses all observations of `start`: those of images with another lens are outliers
-/// to the common one, and `fit` may have dropped them.
-pub(super) fn other_lenses(start: &Reconstruction, fit: &LensFit) -> Option<OtherLenses> {
+/// Images whose focal length or principal point is not that of the others, the more significant
+/// difference first. Uses all observations of `start`: those of images with another lens are
+/// outliers to the common one, and `fit` may have dropped them.
+pub(super) fn other_lenses(start: &Reconstruction, fit: &LensFit) -> Vec<OtherLenses> {
     let both = [OwnPart::Focal, OwnPart::Center];
     let found = both.into_iter().filter_map(|part| others_by(part, start, fit));
-    found.max_by(|a, b| a.square.total_cmp(&b.square))
+    let mut found: Vec<OtherLenses> = found.collect();
+    found.sort_by(|a, b| b.significance.total_cmp(&a.significance));
+    found
 }
 
 fn others_by(part: OwnPart, start: &Reconstruction, fit: &LensFit) -> Option<OtherLenses> {
     let bundle = Bundle { free: fit.fit.bundle.free.clone(), ..start.bundle.clone() };
     let mut state = start.state.clone();
     state.lens = fit.fit.state.lens;
-    let found = separate_lenses(&bundle, &state, part)?;
     let (count, width) = (state.cameras_from_scene.len(), part.width());
     if count < 3 {
         return None;
     }
+    let found = separate_lenses(&bundle, &state, part)?;
     let best = best_groups(&found, width)?;
     let least = match part {
         OwnPart::Focal => LEAST_FOCAL_DIFFERENCE,
         OwnPart::Center => LEAST_CENTER_DIFFERENCE * f64::from(bundle.prior.image_size.width),
     };
-    if best.square <= no_chance((count - 1) * width) || best.contrast.norm() < least {
+    let significance = best.square / no_chance((count - 1) * width);
+    if significance <= 1.0 || best.contrast.norm() < least {
         return None;
     }
-    let (poses, contrast) = if 2 * best.larger.len() <= count {
+    let (mut poses, contrast) = if 2 * best.larger.len() <= count {
         (best.larger, best.contrast)
     } else {
         let smaller = (0..count).filter(|k| !best.larger.contains(k)).collect();
         (smaller, -best.contrast)
     };
+    poses.sort_by_key(|pose| start.images[*pose]);
     let scatter = scatter(&found.values, width);
     let difference = match part {
         OwnPart::Focal => OwnLensDifference::Focal {
@@ -91,7 +95,7 @@ fn others_by(part: OwnPart, start: &Reconstruction, fit: &LensFit) -> Option<Oth
             covariance: scatter.fixed_view::<2, 2>(0, 0).into_owned(),
         },
     };
-    Some(OtherLenses { poses, difference, square: best.square })
+    Some(OtherLenses { poses, difference, significance })
 }
 
 /// The covariance, between images, of their `width` values.
@@ -125,7 +129,7 @@ struct ImageGroups {
 /// two values, in one of eight directions.
 fn best_groups(found: &LensByImage, width: usize) -> Option<ImageGroups> {
     let count = found.values.len() / width;
-    let weights = found.covariance.clone().cholesky()?;
+    let contrasts = Contrasts::of(found, width)?;
     let directions = if width == 1 { 1 } else { 8 };
     let mut best: Option<ImageGroups> = None;
     for direction in 0..directions {
@@ -135,40 +139,95 @@ fn best_groups(found: &LensByImage, width: usize) -> Option<ImageGroups> {
             _ => cos * found.values[2 * image] + sin * found.values[2 * image + 1],
         };
         let mut order: Vec<usize> = (0..count).collect();
-        order.sort_by(|a, b| along(*a).total_cmp(&along(*b)));
+        order.sort_by(|a, b| along(*b).total_cmp(&along(*a)));
+        let mut larger = GroupSums::none(width);
         for split in 1..count {
-            let groups = ImageGroups::of(found, &weights, width, &order[split..]);
-            let is_better = |than: &ImageGroups| {
-                groups.as_ref().is_some_and(|groups| groups.square > than.square)
-            };
-            if best.as_ref().is_none_or(is_better) {
-                best = groups.or(best);
+            larger.add(&contrasts, &order[..split]);
+            let Some((contrast, square)) = contrasts.of_group(&larger) else { continue };
+            if best.as_ref().is_none_or(|best| square > best.square) {
+                best = Some(ImageGroups { larger: order[..split].to_vec(), contrast, square });
             }
         }
     }
     best
 }
 
-impl ImageGroups {
-    /// The contrast of the images in `larger` to all others, by generalized least squares.
-    fn of(
-        found: &LensByImage,
-        weights: &nalgebra::Cholesky<f64, nalgebra::Dyn>,
-        width: usize,
-        larger: &[usize],
-    ) -> Option<Self> {
-        let terms = DMatrix::from_fn(found.values.len(), 2 * width, |row, term| {
-            let (image, k) = (row / width, row % width);
-            let is_of_group = term < width || larger.contains(&image);
-            if term % width == k && is_of_group { 1.0 } else { 0.0 }
-        });
-        let weighted = weights.solve(&terms);
-        let inverse = (terms.transpose() * &weighted).try_inverse()?;
-        let solution = &inverse * (weighted.transpose() * &found.values);
-        let contrast = solution.rows(width, width).into_owned();
+/// Generalized least squares of the mean of all images and the contrast of a group to the others.
+struct Contrasts {
+    width: usize,
+    /// The inverse of the covariance of all values.
+    weight: DMatrix<f64>,
+    /// That times the values.
+    weighted: DVector<f64>,
+    /// Sums of the former over all images.
+    all: GroupSums,
+}
+
+/// Sums over a group of images.
+struct GroupSums {
+    /// Weights between two images of the group.
+    within: DMatrix<f64>,
+    /// Weights between an image of the group and any image.
+    to_all: DMatrix<f64>,
+    /// Weighted values.
+    values: DVector<f64>,
+}
+
+impl GroupSums {
+    fn none(width: usize) -> Self {
+        let zero = DMatrix::zeros(width, width);
+        Self { within: zero.clone(), to_all: zero, values: DVector::zeros(width) }
+    }
+
+    /// Adds the last image of `group`, whose others are in it.
+    fn add(&mut self, of: &Contrasts, group: &[usize]) {
+        let Some((image, before)) = group.split_last() else { return };
+        for other in before {
+            let weight = of.between(*image, *other);
+            self.within += weight + weight.transpose();
+        }
+        self.within += of.between(*image, *image);
+        for other in 0..of.weighted.len() / of.width {
+            self.to_all += of.between(*image, other);
+        }
+        self.values += of.weighted.rows(image * of.width, of.width);
+    }
+}
+
+impl Contrasts {
+    fn of(found: &LensByImage, width: usize) -> Option<Self> {
+        let weight = found.covariance.clone().cholesky()?.inverse();
+        let weighted = &weight * &found.values;
+        let mut contrasts = Self { width, weight, weighted, all: GroupSums::none(width) };
+        let mut all = GroupSums::none(width);
+        let images: Vec<usize> = (0..found.values.len() / width).collect();
+        (1..=images.len()).for_each(|count| all.add(&contrasts, &images[..count]));
+        contrasts.all = all;
+        Some(contrasts)
+    }
+
+    fn between(&self, first: usize, second: usize) -> DMatrixView<'_, f64> {
+        let width = self.width;
+        self.weight.view((first * width, second * width), (width, width))
+    }
+
+    /// The values of a group less those of the others, and the square of that in standard
+    /// deviations.
+    fn of_group(&self, group: &GroupSums) -> Option<(DVector<f64>, f64)> {
+        let width = self.width;
+        let mut normal = DMatrix::zeros(2 * width, 2 * width);
+        normal.view_mut((0, 0), (width, width)).copy_from(&self.all.within);
+        normal.view_mut((width, 0), (width, width)).copy_from(&group.to_all);
+        normal.view_mut((0, width), (width, width)).copy_from(&group.to_all.transpose());
+        normal.view_mut((width, width), (width, width)).copy_from(&group.within);
+        let mut right = DVector::zeros(2 * width);
+        right.rows_mut(0, width).copy_from(&self.all.values);
+        right.rows_mut(width, width).copy_from(&group.values);
+        let inverse = normal.try_inverse()?;
+        let contrast = (&inverse * right).rows(width, width).into_owned();
         let covariance = inverse.view((width, width), (width, width)).into_owned();
         let square = contrast.dot(&covariance.cholesky()?.solve(&contrast));
-        Some(Self { larger: larger.to_vec(), contrast, square })
+        Some((contrast, square))
     }
 }
 
@@ -199,7 +258,6 @@ pub(super) fn reason(others: &OtherLenses, name: impl Fn(usize) -> String) -> St
     const NAMED: usize = 4;
     let mut names: Vec<String> =
         others.poses.iter().map(|pose| format!("`{}`", name(*pose))).collect();
-    names.sort();
     if names.len() > NAMED {
         let more = format!("{} more", names.len() - NAMED);
         names.truncate(NAMED);
@@ -216,7 +274,7 @@ pub(super) fn reason(others: &OtherLenses, name: impl Fn(usize) -> String) -> St
         OwnLensDifference::Center { offset_px, .. } => {
             let [x, y] = [offset_px.x, offset_px.y];
             format!(
-                "images differ in principal point: {names} by ({x:+.1}, {y:+.1}) px from the others: give images of one camera as it made them, none of them rotated by 180 degrees, mirrored, cropped or stabilized"
+                "images differ in principal point: {names} by ({x:+.1}, {y:+.1}) px from the others: give images of one camera as it made them, none of them rotated by 180 degrees, cropped or stabilized"
             )
         }
     }

@@ -8,8 +8,8 @@
 //!        --depth_scale--> lengths in meters, where depth was measured too
 //! ```
 
-pub mod altered_images;
-mod conditions;
+mod altered_images;
+pub mod conditions;
 pub mod correspondence;
 pub mod depth_scale;
 mod fitted_lens;

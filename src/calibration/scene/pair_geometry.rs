@@ -24,12 +24,19 @@ const AGREED_PART: f64 = 0.5;
 /// rest. Points at infinity stay too where a camera translates, and contradict nothing.
 const CONTRADICTING_PART: f64 = 0.5;
 
+/// What moved is the scene if it is nearer to at least this part of the image than what stayed. A
+/// moving thing before a camera at rest fills less, and the robot's own body too.
+const SCENE_PART: f64 = 0.5;
+
+/// The image is divided into so many columns and rows for that.
+const CELLS: [u32; 2] = [16, 12];
+
 /// The geometry of two images of a scene.
 #[derive(Debug, Clone)]
 pub(super) struct SceneGeometry {
     /// That of the matches that are not fixed to the camera.
     pub geometry: TwoViewGeometry,
-    /// The matches that are, where that is known.
+    /// Matches that are fixed to the camera, since they contradict that geometry.
     pub fixed: Vec<usize>,
 }
 
@@ -48,12 +55,9 @@ pub(super) fn scene_geometry(
     if geometry.kind != TwoViewKind::Still || is_one_view(&geometry, features) {
         return Some(of_all(geometry));
     }
-    let (stayed, moved): (Vec<usize>, Vec<usize>) =
-        (0..pairs.len()).partition(|k| geometry.inliers.binary_search(k).is_ok());
-    Some(match geometry_of(pairs, &moved, size) {
-        Some(geometry) => SceneGeometry { geometry, fixed: stayed },
-        None => of_all(geometry),
-    })
+    let is_left = |k: &usize| geometry.inliers.binary_search(k).is_err();
+    let moved: Vec<usize> = (0..pairs.len()).filter(is_left).collect();
+    Some(of_all(geometry_of(pairs, &moved, size).unwrap_or(geometry)))
 }
 
 /// Whether a match stayed at its place in the image.
@@ -61,7 +65,8 @@ pub(super) fn stayed(pair: &PointPair) -> bool {
     (pair.second - pair.first).norm() < STAYED_PX
 }
 
-/// The geometry of what moved, where it moved as one, and most of what stayed contradicts that.
+/// The geometry of what moved, where that is the scene: it moved as one, fills most of the image,
+/// and most of what stayed contradicts it.
 fn beside_fixed(pairs: &[PointPair], size: ImageSize) -> Option<SceneGeometry> {
     let (stayed, moved): (Vec<usize>, Vec<usize>) =
         (0..pairs.len()).partition(|k| stayed(&pairs[*k]));
@@ -70,10 +75,59 @@ fn beside_fixed(pairs: &[PointPair], size: ImageSize) -> Option<SceneGeometry> {
     }
     let geometry = geometry_of(pairs, &moved, size)?;
     let agreed = geometry.inliers.len() as f64 / moved.len() as f64;
-    let moved_as_one = geometry.kind == TwoViewKind::General || agreed >= AGREED_PART;
-    let contradicting = stayed.iter().filter(|k| contradicts(&geometry, &pairs[**k])).count();
-    let is_fixed = contradicting as f64 >= CONTRADICTING_PART * stayed.len() as f64;
-    (moved_as_one && is_fixed).then_some(SceneGeometry { geometry, fixed: stayed })
+    if geometry.kind != TwoViewKind::General && agreed < AGREED_PART {
+        return None;
+    }
+    let at = |k: &usize| pairs[*k].first;
+    let part = nearer_part(geometry.inliers.iter().map(at), stayed.iter().map(at), size);
+    let fixed: Vec<usize> =
+        stayed.iter().copied().filter(|k| contradicts(&geometry, &pairs[*k])).collect();
+    if part < SCENE_PART || (fixed.len() as f64) < CONTRADICTING_PART * stayed.len() as f64 {
+        return None;
+    }
+    if geometry.kind != TwoViewKind::General {
+        // A plane before a background at infinity: only together they show the motion.
+        let of_all = two_view_geometry(pairs, size);
+        let is_inlier = |of: &TwoViewGeometry| {
+            stayed.iter().filter(|k| of.inliers.binary_search(k).is_ok()).count()
+        };
+        let holds = |of: &TwoViewGeometry| {
+            of.kind == TwoViewKind::General && 2 * is_inlier(of) > stayed.len()
+        };
+        if of_all.as_ref().is_some_and(holds) {
+            return None;
+        }
+    }
+    Some(SceneGeometry { geometry, fixed })
+}
+
+/// The part of the image that is nearer to one of `some` than to any of `others`.
+fn nearer_part(
+    some: impl Iterator<Item = Point2<f64>>,
+    others: impl Iterator<Item = Point2<f64>>,
+    size: ImageSize,
+) -> f64 {
+    let [columns, rows] = CELLS;
+    let (width, height) = (f64::from(size.width), f64::from(size.height));
+    let center = |cell: u32| {
+        let (column, row) = (f64::from(cell % columns), f64::from(cell / columns));
+        let x = (column + 0.5) * width / f64::from(columns);
+        Point2::new(x, (row + 0.5) * height / f64::from(rows))
+    };
+    let cells: Vec<Point2<f64>> = (0..columns * rows).map(center).collect();
+    let nearest = |points: &mut dyn Iterator<Item = Point2<f64>>| {
+        let mut nearest = vec![f64::INFINITY; cells.len()];
+        for point in points {
+            for (least, cell) in nearest.iter_mut().zip(&cells) {
+                *least = least.min((point - cell).norm_squared());
+            }
+        }
+        nearest
+    };
+    let (mut some, mut others) = (some, others);
+    let (some, others) = (nearest(&mut some), nearest(&mut others));
+    let nearer = some.iter().zip(&others).filter(|(some, others)| some < others).count();
+    nearer as f64 / cells.len() as f64
 }
 
 /// Whether a match that stayed does not fit the motion.
@@ -108,7 +162,7 @@ pub(super) fn is_one_view(geometry: &TwoViewGeometry, features: usize) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{Point3, Vector3};
+    use nalgebra::{Point3, Vector2, Vector3};
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
@@ -180,6 +234,33 @@ mod tests {
         let found = scene_geometry(&pairs, 300, SIZE).unwrap().geometry;
         let far = found.inliers.iter().filter(|k| **k >= 100).count();
         assert!(far > 90, "{far}");
+    }
+
+    #[test]
+    fn a_plane_before_a_far_background_shows_the_motion_with_it() {
+        let mut random = ChaCha8Rng::seed_from_u64(6);
+        let second_from_first =
+            Pose::from_axis_angle(Vector3::zeros(), Vector3::new(0.3, 0.05, 0.0));
+        let mut pairs = seen(150, [4.0, 4.001], &second_from_first, &mut random);
+        pairs.extend(seen(60, [3e3, 9e3], &second_from_first, &mut random));
+        let found = scene_geometry(&pairs, 300, SIZE).unwrap();
+        let far = found.geometry.inliers.iter().filter(|k| **k >= 150).count();
+        assert!(found.fixed.is_empty() && far > 50, "{far}");
+        assert_eq!(found.geometry.kind, TwoViewKind::General);
+    }
+
+    #[test]
+    fn what_moves_before_a_camera_at_rest_is_not_the_scene() {
+        let mut random = ChaCha8Rng::seed_from_u64(7);
+        let mut pairs = seen(300, [3.0, 9.0], &Pose::identity(), &mut random);
+        let motion = Vector2::new(-40.0, 6.0);
+        for _ in 0..80 {
+            let first =
+                Point2::new(random.random_range(200.0..330.0), random.random_range(100.0..300.0));
+            pairs.push(PointPair { first, second: first + motion });
+        }
+        let found = scene_geometry(&pairs, 400, SIZE).unwrap();
+        assert!(is_one_view(&found.geometry, 400) && found.fixed.is_empty());
     }
 
     #[test]

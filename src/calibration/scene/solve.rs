@@ -156,14 +156,12 @@ fn fitted(
     goes_on()?;
     let mut fit = fit?;
     let others = other_lenses(&start, &fit);
-    if let Some(others) = &others {
-        lens_differences::widen(&mut fit, others);
-    }
+    others.iter().for_each(|others| lens_differences::widen(&mut fit, others));
     let conditions = SceneConditions::of(&fit.fit.bundle, &fit.fit.state);
     check_determined(&fit, &conditions, found, &start)
         .map_err(|refusal| explained(refusal, found))?;
     let name = |pose: usize| images[start.images[pose]].name.clone();
-    let different_lenses = others.map(|others| lens_differences::reason(&others, name));
+    let different_lenses = others.first().map(|others| lens_differences::reason(others, name));
     Ok(FittedScene { start, fit, conditions, different_lenses })
 }
 

@@ -87,21 +87,21 @@ fn contradicted(evidence: &Evidence<'_>) -> Option<Finding> {
     Some(Finding { grade: Grade::Poor, reason })
 }
 
-/// Given values that the images alone know worse than a good calibration does.
+/// Given parameters of the camera matrix that the images alone know less well than a good
+/// calibration would.
 fn unverified(evidence: &Evidence<'_>) -> Option<Finding> {
-    let GivenEvidence { misfit, parameters } = evidence.given;
-    let least = FOCAL_STD[0] * evidence.fit.fit.state.lens.matrix.fx;
-    let is_open =
-        |it: &&GivenDifference| ["fx", "fy", "cx", "cy"].contains(&it.name) && !(it.std <= least);
-    let each = |it: &GivenDifference| match it.std.is_finite() {
-        true => format!("{} (as {})", it.name, value_with_std(it.estimated, it.std)),
-        false => format!("{} (not at all)", it.name),
+    let greatest_std = FOCAL_STD[0] * evidence.fit.fit.state.lens.matrix.fx;
+    let is_named = |it: &&GivenDifference| {
+        ["fx", "fy", "cx", "cy"].contains(&it.name) && !(it.std <= greatest_std)
     };
-    let names: Vec<String> = parameters.iter().filter(is_open).map(each).collect();
-    let reason = format!(
-        "the images cannot verify what is given: they determine {} by themselves",
-        names.join(", ")
-    );
+    let each = |it: &GivenDifference| match it.std.is_finite() {
+        true => format!("{} only as {}", it.name, value_with_std(it.estimated, it.std)),
+        false => format!("{} not at all", it.name),
+    };
+    let GivenEvidence { misfit, parameters } = evidence.given;
+    let names: Vec<String> = parameters.iter().filter(is_named).map(each).collect();
+    let names = names.join(", ");
+    let reason = format!("the images cannot verify what is given: alone they determine {names}");
     (misfit.is_none() && !names.is_empty()).then_some(Finding { grade: Grade::Usable, reason })
 }
 

@@ -46,8 +46,8 @@ impl OwnPart {
         }
     }
 
-    /// Fits end where a step of all values is below this: a fifth of the least difference that is
-    /// reported.
+    /// Fits end where a step of all values is below this: a fifth of the least difference of focal
+    /// lengths that is reported, and two fifths of that of principal points.
     fn settled_step(self, size: ImageSize) -> f64 {
         match self {
             Self::Focal => SETTLED_STEP,
