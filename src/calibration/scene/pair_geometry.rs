@@ -17,18 +17,21 @@ const SAME_VIEW_FRACTION: f64 = 0.2;
 /// A match with a smaller displacement stayed, in pixels.
 const STAYED_PX: f64 = 4.0 * STILL_PX;
 
-/// What moved, moved as one if it shows depth, or if at least this part of it agrees.
+/// What moved, moved as one if it shows depth, or if at least this part of it agrees. Of 18 sets of
+/// photographs with a robot in view, 0.3 to 0.7 answer the same 17.
 const AGREED_PART: f64 = 0.5;
 
 /// What stayed is fixed to the camera if at least this part of it contradicts the motion of the
-/// rest. Points at infinity stay too where a camera translates, and contradict nothing.
+/// rest. Points at infinity stay too where a camera translates, and contradict nothing. With 0.3 to
+/// 0.7 the same 17 of those sets are answered.
 const CONTRADICTING_PART: f64 = 0.5;
 
-/// What moved is the scene if it is nearer to at least this part of the image than what stayed. A
-/// moving thing before a camera at rest fills less, and the robot's own body too.
+/// What moved is the scene if at least this part of the image is nearer to it than to what stayed.
+/// Otherwise it is a thing that moves before a camera at rest. 17 of those sets are answered with
+/// 0.4 and 0.5, 18 with 0.3, and 15 with 0.6: a frame around the whole image then counts for more.
 const SCENE_PART: f64 = 0.5;
 
-/// The image is divided into so many columns and rows for that.
+/// The image is divided into so many columns and rows for that. Not swept.
 const CELLS: [u32; 2] = [16, 12];
 
 /// The geometry of two images of a scene.

@@ -69,7 +69,7 @@ pub struct LensByImage {
 /// A factor of e.
 const LOG_FOCAL_STD: f64 = 1.0;
 
-/// Over the image's width.
+/// Over the image's width: the principal point may be anywhere in the image. Not swept.
 const CENTER_STD: f64 = 0.5;
 
 /// A limit for safety: fits end earlier, where a step is below [`SETTLED_STEP`]. Images enlarged by
