@@ -6,6 +6,7 @@ pub mod coverage;
 pub mod depth_calibration;
 pub mod depth_check;
 pub mod drift;
+mod few_views;
 mod given_misfit;
 pub mod guidance;
 pub mod information;

@@ -1,6 +1,7 @@
 //! How far to trust a calibration, in words that a person can act on.
 
 use crate::calibration::coverage::Coverage;
+use crate::calibration::few_views::few_views;
 use crate::calibration::given_misfit::contradiction;
 use crate::calibration::known_image::KnownImage;
 use crate::calibration::result::{Finding, Grade, Verdict};
@@ -64,6 +65,7 @@ pub(crate) fn judge(
     findings.extend(other_spacing(estimate));
     findings.extend(rejected_views(estimate));
     findings.extend(rejected_corners(estimate));
+    findings.extend(few_views(estimate));
     findings.extend(missing_area(coverage));
     findings.extend(flat_board(estimate));
     findings.extend(accounted_for(estimate, shutter_in_model));

@@ -151,6 +151,15 @@ fn an_uneven_wooden_april_grid_that_hardly_moves() {
 }
 
 #[test]
+fn four_photographs_are_too_few_to_check_the_stated_uncertainty() {
+    let document = calibration("opencv-samples", "left0[1-4].jpg", "9x6", "30mm");
+    let Some(document) = document else { return };
+    let reasons = document["verdict"]["reasons"].as_array().unwrap();
+    let says = |reason: &Value| reason.as_str().unwrap().starts_with("only 4 views were used");
+    assert!(document["verdict"]["grade"] != "good" && reasons.iter().any(says), "{reasons:?}");
+}
+
+#[test]
 fn whether_a_board_is_uneven_does_not_depend_on_one_photograph() {
     let Some(data) = shared_data("charuco-rig4-inverted") else { return };
     let folder = tempfile::tempdir().unwrap();
