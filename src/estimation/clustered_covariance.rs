@@ -22,8 +22,8 @@ use crate::estimation::joint::normal::ReducedView;
 use crate::estimation::joint::per_observation::assemble;
 use crate::estimation::robust_fit::ROUNDING;
 
-/// Minimum number of views for an estimate of their scatter. Of fewer than five, chance alone often
-/// has a large scatter, which the limits below take into account.
+/// Minimum number of views for an estimate of their scatter. The limits below take into account how
+/// much scatter so few views have by chance.
 const MIN_VIEWS: usize = 3;
 
 /// An excess of the squared steps within this many standard deviations is attributed to chance,

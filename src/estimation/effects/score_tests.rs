@@ -74,8 +74,8 @@ fn are_point_offsets_significant(system: &System, noise_square: f64) -> bool {
 }
 
 /// Whether they would explain more than is expected by chance. Where the board has a shape, a hint
-/// is not needed: of 18 photographs, removing one ended it, and without the offsets, which raised
-/// the logarithm of the evidence by 6, the focal length changed by 2.7 standard deviations.
+/// is not needed: of 18 photographs, removing one ended it, and without the offsets the focal length
+/// changed by 2.7 standard deviations.
 pub(super) fn may_have_point_offsets(system: &System, noise_square: f64) -> bool {
     let (square, count) = point_offset_square(system);
     square / noise_square > count
