@@ -188,8 +188,7 @@ fn whether_a_board_is_uneven_does_not_depend_on_one_photograph() {
         calibration_from(&source, &["--target", &path])["sensors"]["color"].take()
     };
     let all = sensor_without("");
-    // Where offsets of the corners are left out of the model, cy changes by 6 px, three standard
-    // deviations.
+    // Where the board counts as flat, cy changes by 6 px, three standard deviations.
     for left_out in ["charuco_calibration-0090.jpg", "prerecorded_calibration-0000.jpg"] {
         let without = sensor_without(left_out);
         for sensor in [&all, &without] {
