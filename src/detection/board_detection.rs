@@ -135,9 +135,7 @@ pub enum NoBoard {
         rows: u32,
     },
     /// A board, but not this one.
-    #[error(
-        "a board of {cols}x{rows} is seen, not {board}; count the inner corners, or give the size that is seen"
-    )]
+    #[error("a board of {cols}x{rows} is seen, not {board}{}", other_size(*cols, *rows, *board))]
     OtherSize {
         /// Corners along the longer side of the detected board.
         cols: u32,
@@ -215,6 +213,17 @@ impl NoBoard {
     }
 }
 
+/// What to do where a board of `cols` × `rows` is seen, and not `board`.
+fn other_size(cols: u32, rows: u32, board: BoardSize) -> String {
+    let squares = (board.cols.max(board.rows), board.cols.min(board.rows));
+    if squares == (cols + 1, rows + 1) {
+        let (cols, rows) = (board.cols - 1, board.rows - 1);
+        format!(": it has {board} squares, but sizes count inner corners; give {cols}x{rows}")
+    } else {
+        "; count the inner corners, or give the size that is seen".to_owned()
+    }
+}
+
 fn largest_grid(cols: u32, rows: u32) -> String {
     match (cols, rows) {
         (0, _) | (_, 0) => {
@@ -238,6 +247,21 @@ pub struct DetectOptions {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_size_counted_in_squares_is_named() {
+        let message = |cols, rows| {
+            let board = BoardSize { cols, rows };
+            NoBoard::OtherSize { cols: 9, rows: 6, board }.to_string()
+        };
+        for (cols, rows, expected) in [
+            (10, 7, "not 10x7: it has 10x7 squares, but sizes count inner corners; give 9x6"),
+            (7, 10, "not 7x10: it has 7x10 squares, but sizes count inner corners; give 6x9"),
+            (9, 7, "not 9x7; count the inner corners, or give the size that is seen"),
+        ] {
+            assert_eq!(message(cols, rows), format!("a board of 9x6 is seen, {expected}"));
+        }
+    }
 
     #[test]
     fn no_grid_and_a_small_grid_have_different_messages() {
