@@ -68,15 +68,13 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         args.threads.map_or_else(all_cores, usize::from),
         || searcher(&target, options, args.repeat),
         |image| {
+            unread.count(image.as_ref().err());
             let line = match image {
                 Ok(image) => ImageLine::of(&target, image),
-                Err(unreadable) => {
-                    unread.count(&unreadable.reason);
-                    ImageLine {
-                        reason: Some(unreadable.reason),
-                        ..ImageLine::nothing(&target, unreadable.path)
-                    }
-                }
+                Err(unreadable) => ImageLine {
+                    reason: Some(unreadable.reason),
+                    ..ImageLine::nothing(&target, unreadable.path)
+                },
             };
             print(args, &target, &line)
         },

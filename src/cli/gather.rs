@@ -76,7 +76,7 @@ impl ImageGathering {
                 }
                 if image.recording.is_some() { self.observe(&image) } else { self.take(image) }
             }
-            Err(Unreadable { path, reason }) => {
+            Err(Unreadable { path, reason, .. }) => {
                 self.end_recording();
                 self.reasons.push((reason.clone(), reason.clone()));
                 self.images.push(Err((path, reason)));

@@ -36,8 +36,8 @@ pub(super) fn run(args: &Args) -> Result<(), Failure> {
             move |frames| recognized(frames, &mut image)
         },
         |line| {
+            unread.count(line.as_ref().err());
             let line = line.unwrap_or_else(|unreadable| {
-                unread.count(&unreadable.reason);
                 let seen = TargetInViewDocument {
                     reason: Some(unreadable.reason),
                     ..TargetInViewDocument::from(None)
@@ -56,8 +56,7 @@ fn recognized(
 ) -> Result<RecognizedLine, Unreadable> {
     let frames = frames?;
     let path = frames.path();
-    read_luma(&frames, image)
-        .map_err(|reason| Unreadable { reason: format!("{path}: {reason}"), path: path.clone() })?;
+    read_luma(&frames, image)?;
     let started = Instant::now();
     let seen = target_in_view(image.view());
     let elapsed_ms = started.elapsed().as_secs_f64() * 1000.0;

@@ -170,7 +170,7 @@ impl SearchedSource {
                         check_size(&mut first, &image)?;
                         all.images.push(image);
                     }
-                    Err(Unreadable { path, reason }) => {
+                    Err(Unreadable { path, reason, .. }) => {
                         let place = all.images.len() + unreadable.len();
                         unreadable.push((place, unused(path, &reason)));
                     }

@@ -41,10 +41,7 @@ pub fn searcher(
     move |frames| {
         let frames = frames?;
         let path = frames.path();
-        read_luma(&frames, &mut image).map_err(|reason| Unreadable {
-            reason: format!("{path}: {reason}"),
-            path: path.clone(),
-        })?;
+        read_luma(&frames, &mut image)?;
         let frame = frame_facts(&frames, image.size());
         // Of a recording's frames, which threads share, those with certain numbers, so that the
         // answer does not depend on the threads.
@@ -82,8 +79,15 @@ pub(super) fn frame_facts(frames: &SourcedFrames, image_size: ImageSize) -> Fram
 }
 
 /// The luma of the color image, or else of the infrared one.
-pub(super) fn read_luma(frames: &SourcedFrames, image: &mut GrayImage) -> Result<(), String> {
-    luma(frames.image_of(SensorKind::Color)?, image).map_err(|error| error.to_string())
+pub(super) fn read_luma(frames: &SourcedFrames, image: &mut GrayImage) -> Result<(), Unreadable> {
+    let unreadable = |reason: String| {
+        let path = frames.path();
+        Unreadable::new(path.clone(), format!("{path}: {reason}"))
+    };
+    let frame = frames
+        .image_of(SensorKind::Color)
+        .map_err(|reason| Unreadable { lacks_color: true, ..unreadable(reason) })?;
+    luma(frame, image).map_err(|error| unreadable(error.to_string()))
 }
 
 /// Warns if `rotated` of the images state a rotation: other programs apply it, and the calibration

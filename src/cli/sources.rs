@@ -38,6 +38,15 @@ pub struct Unreadable {
     pub path: String,
     /// One line with its name, what was wrong, and what to do.
     pub reason: String,
+    /// Whether this is a frame set of which nothing is damaged, but its color image is missing.
+    pub lacks_color: bool,
+}
+
+impl Unreadable {
+    /// The source at `path`, or a part of it, with the `reason`.
+    pub fn new(path: String, reason: String) -> Self {
+        Self { path, reason, lacks_color: false }
+    }
 }
 
 /// A frame set and its source.
@@ -125,7 +134,7 @@ impl<'a> FrameSets<'a> {
         if place.is_dir() || is_recording(place) {
             let is_folder = place.is_dir() && !is_bag_folder(place);
             let recording = Recording::open(place, &self.reading)
-                .map_err(|error| Unreadable { path: path.clone(), reason: error.to_string() })?;
+                .map_err(|error| Unreadable::new(path.clone(), error.to_string()))?;
             self.open = Some(Opened { path, recording, is_folder });
         } else if !place.exists() && path.contains(['*', '?', '[']) {
             self.images.extend(files_of_glob(&path)?);
@@ -162,8 +171,7 @@ impl Iterator for FrameSets<'_> {
                     Ok(None) => self.open = None,
                     // A recording that was cut off ends here; everything before has been returned.
                     Err(error) => {
-                        let unreadable =
-                            Unreadable { path: opened.path.clone(), reason: error.to_string() };
+                        let unreadable = Unreadable::new(opened.path.clone(), error.to_string());
                         self.open = self.open.take().filter(|opened| opened.is_folder);
                         return Some(Err(unreadable));
                     }
@@ -206,9 +214,9 @@ pub(super) fn files_of(source: &str) -> Vec<PathBuf> {
 
 fn image(path: &Path) -> Result<FrameSet, Unreadable> {
     let name = path.display().to_string();
-    let bytes = fs::read(path).map_err(|error| Unreadable {
-        reason: format!("{name}: cannot be read ({error}); check the path"),
-        path: name.clone(),
+    let bytes = fs::read(path).map_err(|error| {
+        let reason = format!("{name}: cannot be read ({error}); check the path");
+        Unreadable::new(name.clone(), reason)
     })?;
     let frames = vec![frame_from_file(SensorKind::Color, bytes)];
     Ok(FrameSet {
@@ -221,7 +229,7 @@ fn image(path: &Path) -> Result<FrameSet, Unreadable> {
 }
 
 fn files_of_glob(pattern: &str) -> Result<Vec<PathBuf>, Unreadable> {
-    let unreadable = |reason| Unreadable { path: pattern.to_owned(), reason };
+    let unreadable = |reason| Unreadable::new(pattern.to_owned(), reason);
     let found = glob::glob(pattern)
         .map_err(|error| unreadable(format!("{pattern}: not a glob pattern ({error})")))?;
     let mut files: Vec<PathBuf> =

@@ -100,6 +100,31 @@ fn detect_says_why_there_is_no_board() {
     }
 }
 
+/// Sensors of one camera do not start with the same frame.
+#[test]
+fn frames_of_depth_without_color_are_named_and_the_others_searched() {
+    let folder = tempfile::tempdir().unwrap();
+    let depth = [b"P5 2 2 65535\n".as_slice(), &[4; 8]].concat();
+    for sensor in ["color", "depth"] {
+        std::fs::create_dir(folder.path().join(sensor)).unwrap();
+    }
+    for name in ["1", "2", "3"] {
+        std::fs::write(folder.path().join(format!("depth/{name}.pgm")), &depth).unwrap();
+    }
+    let source = folder.path().to_str().unwrap();
+    let asked = ["detect", "--board", "9x6", "--json", source];
+    assert_eq!(plumb(asked.map(str::to_owned)).code, Some(1), "there is no image at all");
+    std::fs::write(folder.path().join("color/2.pgm"), Straight::WHOLE.pgm()).unwrap();
+    let finished = plumb(asked.map(str::to_owned));
+    assert_eq!(finished.code, Some(0), "{}", finished.stderr);
+    let lines: Vec<Value> =
+        finished.stdout.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let found: Vec<&Value> = lines.iter().map(|line| &line["found"]).collect();
+    assert_eq!(found, [false, true, false], "{lines:?}");
+    assert!(lines[0]["reason"].as_str().unwrap().contains("color image is missing"), "{lines:?}");
+    assert!(finished.stderr.contains("2 frame sets have no color image"), "{}", finished.stderr);
+}
+
 /// What rejected a frame reaches all remote clients: the events, the session's document and
 /// the metrics.
 #[test]
