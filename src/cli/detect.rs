@@ -2,6 +2,7 @@
 
 use serde::Serialize;
 
+use crate::cli::board_check::BoardCheck;
 pub use crate::cli::detect_args::Args;
 use crate::cli::detect_args::{Unread, paths};
 use crate::cli::in_order::{all_cores, in_order};
@@ -62,12 +63,13 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     }
     let target = args.target.read(ANY_SQUARE_M)?;
     let options = DetectOptions { allow_partial: args.allow_partial };
-    let mut unread = Unread::default();
+    let (mut unread, check) = (Unread::default(), BoardCheck::of(&target));
     in_order(
         FrameSets::new(paths(&args.paths)).reading(&args.reading),
         args.threads.map_or_else(all_cores, usize::from),
-        || searcher(&target, options, args.repeat),
+        || searcher(&target, options, args.repeat, Some(&check)),
         |image| {
+            check.take(image.as_ref().ok().and_then(|image| image.compared.as_ref()));
             unread.count(image.as_ref().err());
             let line = match image {
                 Ok(image) => ImageLine::of(&target, image),
@@ -79,6 +81,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
             print(args, &target, &line)
         },
     )?;
+    check.warn();
     unread.into_result()
 }
 

@@ -9,6 +9,7 @@ use crate::calibration::session::Session;
 use crate::calibration::session::camera::CameraPart;
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
 use crate::calibration::view::View;
+use crate::cli::board_check::BoardCheck;
 use crate::cli::in_order::in_order;
 use crate::cli::search::{SearchedImage, searcher, warn_of_rotation};
 use crate::cli::search_args::SearchArgs;
@@ -185,18 +186,20 @@ impl ImageGathering {
 pub fn gather(args: &SearchArgs, target: Target) -> Result<ImageGathering, Failure> {
     args.check_sources()?;
     let options = args.detect_options();
-    let mut gathered = ImageGathering::new(target);
+    let (mut gathered, check) = (ImageGathering::new(target), BoardCheck::of(&target));
     let spinner = progress::spinner("searching images");
     in_order(
         FrameSets::new(args.sources.iter().cloned()).reading(&args.reading),
         args.thread_count(),
-        || searcher(&target, options, 1),
+        || searcher(&target, options, 1, Some(&check)),
         |image| {
             spinner.inc(1);
+            check.take(image.as_ref().ok().and_then(|image| image.compared.as_ref()));
             gathered.add(image)
         },
     )?;
     spinner.finish_and_clear();
+    check.warn();
     warn_of_rotation(gathered.rotated, gathered.searched);
     Ok(gathered)
 }

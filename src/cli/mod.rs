@@ -9,6 +9,7 @@
 
 pub mod autocalibrate;
 pub mod board;
+mod board_check;
 pub mod calibrate;
 mod calibrate_rgbd;
 pub mod calibration_output;

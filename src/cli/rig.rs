@@ -162,7 +162,7 @@ impl SearchedSource {
         in_order(
             FrameSets::new(std::iter::once(camera.source.clone())).reading(&search.reading),
             search.thread_count(),
-            || searcher(target, search.detect_options(), 1),
+            || searcher(target, search.detect_options(), 1, None),
             |image| {
                 spinner.inc(1);
                 match image {

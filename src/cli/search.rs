@@ -3,6 +3,7 @@
 use std::time::Instant;
 
 use crate::calibration::view::FrameFacts;
+use crate::cli::board_check::BoardCheck;
 use crate::cli::sources::{SourcedFrames, Unreadable};
 use crate::detection::board_detection::{DetectOptions, Detection, NoBoard};
 use crate::detection::finder::{RECOGNIZED_EVERY, TargetFinder};
@@ -26,17 +27,20 @@ pub struct SearchedImage {
     pub answer: Result<Detection, NoBoard>,
     /// Whether its file states a rotation, which is not applied.
     pub states_rotation: bool,
+    /// The image itself, if the stated board is to be compared with it.
+    pub compared: Option<GrayImage>,
     /// Duration of the search, the fastest of all repeats, in milliseconds; without decoding.
     pub elapsed_ms: f64,
 }
 
 /// A function that searches for `target` in the image of a frame set, `repeat` times. Its buffers
-/// are reused.
-pub fn searcher(
+/// are reused. Images that `check` needs are kept.
+pub fn searcher<'a>(
     target: &Target,
     options: DetectOptions,
     repeat: u32,
-) -> impl FnMut(Result<SourcedFrames, Unreadable>) -> Result<SearchedImage, Unreadable> {
+    check: Option<&'a BoardCheck>,
+) -> impl FnMut(Result<SourcedFrames, Unreadable>) -> Result<SearchedImage, Unreadable> + use<'a> {
     let (mut finder, mut image) = (TargetFinder::new(target), GrayImage::default());
     move |frames| {
         let frames = frames?;
@@ -63,7 +67,8 @@ pub fn searcher(
         let color = frames.image_of(SensorKind::Color);
         let states_rotation = color.is_ok_and(|frame| states_rotation(&frame.bytes));
         let recording = frames.recording;
-        Ok(SearchedImage { path, recording, frame, answer, states_rotation, elapsed_ms })
+        let compared = check.filter(|_| answer.is_ok()).and_then(|check| check.copy(&image));
+        Ok(SearchedImage { path, recording, frame, answer, states_rotation, compared, elapsed_ms })
     }
 }
 
@@ -117,7 +122,7 @@ mod tests {
         let plain = plain.into_inner();
         let board = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.025).unwrap();
         let target = Target::Chessboard(board);
-        let mut search = searcher(&target, DetectOptions::default(), 1);
+        let mut search = searcher(&target, DetectOptions::default(), 1, None);
         for (orientation, expected) in [(1, false), (6, true)] {
             let exif = [b"Exif\0\0".as_slice(), &with_orientation(orientation)].concat();
             let length = (2 + exif.len() as u16).to_be_bytes();

@@ -193,7 +193,7 @@ impl Boards<'_> {
         search: &SearchArgs,
         camera: &mut DepthCamera,
     ) -> Result<Vec<DepthView>, Failure> {
-        let mut detect = searcher(self.board, search.detect_options(), 1);
+        let mut detect = searcher(self.board, search.detect_options(), 1, None);
         let (mut moments, mut images, mut stated) = (Vec::new(), Vec::new(), None);
         for frames in FrameSets::new(std::iter::once(source.to_owned())).reading(&search.reading) {
             let frames = frames.map_err(|unreadable| Failure::failed(unreadable.reason))?;

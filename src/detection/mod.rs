@@ -18,6 +18,7 @@ mod report;
 mod search;
 #[cfg(test)]
 mod stage_drawings;
+pub mod stated_board;
 pub mod target_in_view;
 pub mod thresholds;
 pub mod tracking;

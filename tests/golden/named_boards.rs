@@ -3,6 +3,8 @@
 use plumb::detection::board_detection::DetectOptions;
 use plumb::detection::coded::recognition::recognize;
 use plumb::detection::finder::{RECOGNIZED_EVERY, TargetFinder};
+use plumb::detection::stated_board::{SeenBoard, WronglyStated};
+use plumb::geometry::dictionary::Dictionary;
 use plumb::geometry::target::{CharucoBoard, Target, chessboard};
 use plumb::imaging::gray::GrayImage;
 
@@ -78,4 +80,58 @@ fn a_real_charuco_board_is_named_where_a_chessboard_is_asked_for() {
     };
     let named = photographs.iter().take(8).filter(|path| is_named(path)).count();
     assert!(named >= 6, "named in {named} of 8");
+}
+
+/// How these images of a board differ from what is stated of it.
+fn wrongly(images: &[GrayImage], stated: &CharucoBoard) -> String {
+    let seen: Vec<SeenBoard> =
+        images.iter().filter_map(|image| SeenBoard::of(image.view(), stated)).collect();
+    assert_eq!(seen.len(), images.len(), "it is found all the same");
+    WronglyStated::by(stated, &seen).map_or_else(String::new, |wrongly| wrongly.to_string())
+}
+
+/// Of a board without the legacy layout, or with an odd number of rows, the first rows are as those
+/// of one with more.
+fn is_named_if_wrongly_stated(images: &[GrayImage], board: &CharucoBoard, may_differ: bool) {
+    assert_eq!(wrongly(images, board), "");
+    for more in [-0.15, 0.08] {
+        let marker_m = board.marker_m + more * board.square_m;
+        let line = wrongly(images, &CharucoBoard { marker_m, ..*board });
+        let stated = format!("of a square, not {:.2}", marker_m / board.square_m);
+        assert!(line.contains(&stated) && !line.contains("rows"), "{line}");
+    }
+    for rows in [board.rows - 1, board.rows + 1] {
+        if may_differ {
+            let line = wrongly(images, &CharucoBoard { rows, ..*board });
+            let expected = format!("{} rows of squares are seen, not {rows}", board.rows);
+            assert!(line.contains(&expected) && !line.contains("markers"), "{line}");
+        }
+    }
+}
+
+#[test]
+fn a_real_board_that_is_stated_wrongly_is_named() {
+    let board = |cols, square_m, marker_m, dictionary| CharucoBoard {
+        cols,
+        rows: 8,
+        square_m,
+        marker_m,
+        dictionary: Dictionary::named(dictionary).unwrap(),
+        first_id: 0,
+        legacy: None,
+    };
+    let lifecam = board(8, 0.0254, 0.01905, "DICT_4X4_1000");
+    let wpical = board(12, 0.018009, 0.013995, "DICT_5X5_1000");
+    for (folder, board, is_legacy) in [
+        ("charuco-lifecam/2024-05-07_lifecam_1280", lifecam, false),
+        ("charuco-lifecam/2024-06-19_lifecam_480_Old_Pattern", lifecam, true),
+        ("charuco-wpical/images", wpical, false),
+    ] {
+        let Some(folder) = shared_data(folder) else { return };
+        let mut photographs: Vec<_> =
+            std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+        photographs.sort();
+        let images: Vec<GrayImage> = photographs[..3].iter().map(|path| decoded(path)).collect();
+        is_named_if_wrongly_stated(&images, &board, !is_legacy);
+    }
 }

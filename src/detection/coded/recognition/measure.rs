@@ -15,7 +15,7 @@ const ALONG_PARTS: [f32; 5] = [0.4, 0.45, 0.5, 0.55, 0.6];
 
 /// Rows of a board of which no corner is seen.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct UnseenRows {
+pub(in crate::detection) struct UnseenRows {
     /// Above or below, the board is not seen to end: there may be more.
     pub may_go_on: bool,
     /// One of the board's own rows would lie within the image: it has fewer.
@@ -24,7 +24,11 @@ pub(super) struct UnseenRows {
 
 impl TargetDetector {
     /// The target with what `detection`, just found in `image`, shows of it.
-    pub(super) fn measured(&self, image: GrayView<'_>, detection: &TargetDetection) -> Target {
+    pub(in crate::detection) fn measured(
+        &self,
+        image: GrayView<'_>,
+        detection: &TargetDetection,
+    ) -> Target {
         match self.target {
             Target::Charuco(board) => {
                 let ratio = self.marker_ratio(image, detection);
@@ -42,7 +46,7 @@ impl TargetDetector {
     }
 
     /// What the rows of the board say, beyond those that `detection` sees.
-    pub(super) fn unseen_rows(
+    pub(in crate::detection) fn unseen_rows(
         &self,
         image: GrayView<'_>,
         detection: &TargetDetection,
