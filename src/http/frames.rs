@@ -67,8 +67,8 @@ impl ReadQuery for DrawingParameters {
     params(("camera" = String, Path, description = "its name in the configuration"), DrawingParameters),
     responses(
         (status = 200, description = "the image", body = Vec<u8>, content_type = "image/jpeg", headers(("Plumb-Stale" = String, description = "why the camera gives nothing newer; none while it does"))),
-        (status = 404, description = "no such camera, or it has no such sensor", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "no frame yet, or no calibration to undistort or rectify with", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "no such camera, or no image of such a sensor has come from it", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "no frame yet, no image of the sensor in the newest frames, or no calibration to undistort or rectify with", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "an unknown sensor, or an alpha that is not from 0 to 1", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn frame(
@@ -99,7 +99,7 @@ pub(super) fn stale(shared: &Shared, camera: &str) -> HeaderMap {
     params(("camera" = String, Path, description = "its name in the configuration"), DrawingParameters),
     responses(
         (status = 200, description = "an endless image", body = Vec<u8>, content_type = "multipart/x-mixed-replace"),
-        (status = 404, description = "no such camera, or it has no such sensor", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "no such camera, or no image of such a sensor has come from it", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "no calibration to undistort, rectify or register with, or one of images of another size", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "an unknown sensor, or an alpha that is not from 0 to 1", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "too many previews are open", body = Problem, content_type = "application/problem+json"),

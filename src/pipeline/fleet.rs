@@ -302,11 +302,11 @@ impl Fleet {
 
     /// A camera's newest image in which a board can be seen, as luma.
     fn newest_luma(&self, name: &str) -> Result<GrayImage, PreviewError> {
-        let (_, live) = self.newest(name)?;
+        let (camera, live) = self.newest(name)?;
         let kinds = [SensorKind::Color, SensorKind::Infrared];
         let frame = kinds.into_iter().find_map(|sensor| live.frame_set.frame(sensor));
-        let (camera, sensor) = (name.to_owned(), SensorKind::Color);
-        let frame = frame.ok_or(PreviewError::UnknownSensor { camera, sensor })?;
+        let frame = frame
+            .ok_or_else(|| PreviewError::no_image_of(SensorKind::Color, name, &camera.sensors()))?;
         let mut image = GrayImage::default();
         decode::luma(frame, &mut image)?;
         Ok(image)

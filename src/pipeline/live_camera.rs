@@ -10,6 +10,7 @@ use crate::calibration::provenance::Provenance;
 use crate::calibration::scene::correspondence::SceneImage;
 use crate::geometry::pose::Pose;
 use crate::imaging::depth_encoding::DepthEncoding;
+use crate::imaging::frame::SensorKind;
 use crate::locks::lock;
 use crate::pipeline::assembly::SharedFactory;
 use crate::pipeline::camera_status::{CameraState, CameraStatus};
@@ -189,8 +190,13 @@ impl LiveCamera {
         let rigs = lock(&self.rigs);
         let rig_calibration = rigs.last().map(|rig| rig.id.clone());
         let key_frame = lock(&self.key_frame).clone();
-        let camera = self.name.clone();
-        PreviewState { camera, calibration, rig_calibration, outline_px, key_frame }
+        let (camera, sensors) = (self.name.clone(), self.sensors());
+        PreviewState { camera, sensors, calibration, rig_calibration, outline_px, key_frame }
+    }
+
+    /// The sensors that have given an image since the camera came.
+    pub(super) fn sensors(&self) -> Vec<SensorKind> {
+        self.images().sizes.keys().copied().collect()
     }
 
     /// The encoding of the depth readings, as the device states it.

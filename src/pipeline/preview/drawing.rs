@@ -55,6 +55,8 @@ impl Drawing {
 #[derive(Debug)]
 pub(super) struct DrawnScene<'a> {
     pub(super) camera: &'a str,
+    /// The sensors that have given an image since it came.
+    pub(super) sensors: &'a [SensorKind],
     pub(super) calibration: Option<&'a str>,
     /// That of its rig.
     pub(super) rig_calibration: Option<&'a str>,
@@ -78,7 +80,7 @@ pub(super) fn encoded(
     let frame = live
         .frame_set
         .frame(sensor)
-        .ok_or_else(|| PreviewError::UnknownSensor { camera: scene.camera.to_owned(), sensor })?;
+        .ok_or_else(|| PreviewError::no_image_of(sensor, scene.camera, scene.sensors))?;
     if drawing.registered {
         let registration = maps.registration(scene.camera, scene.calibration)?;
         let image = match sensor {

@@ -12,8 +12,11 @@ pub enum PreviewError {
     /// No such camera is configured.
     #[error(transparent)]
     UnknownCamera(#[from] UnknownCamera),
-    /// The camera has no such sensor.
-    #[error("camera `{camera}` has no {} sensor; see GET /v1/cameras/{camera}", sensor.name())]
+    /// No image of such a sensor has come from the camera.
+    #[error(
+        "camera `{camera}` has given no {} image so far; see its sensors at GET /v1/cameras/{camera}",
+        sensor.name()
+    )]
     UnknownSensor {
         /// The camera's name.
         camera: String,
@@ -94,6 +97,19 @@ pub enum PreviewError {
 }
 
 impl PreviewError {
+    /// That the newest frame set of `camera` has no image of `sensor`: the next one may, if the
+    /// sensor is one of those that have `given` an image.
+    pub(in crate::pipeline) fn no_image_of(
+        sensor: SensorKind,
+        camera: &str,
+        given: &[SensorKind],
+    ) -> Self {
+        if given.contains(&sensor) {
+            return Self::Missing { sensor };
+        }
+        Self::UnknownSensor { camera: camera.to_owned(), sensor }
+    }
+
     /// Whether the error concerns the newest frame alone: a later one may be shown.
     pub fn is_of_one_frame(&self) -> bool {
         matches!(self, Self::NoFrame { .. } | Self::Missing { .. } | Self::Unreadable(_))

@@ -13,6 +13,7 @@ use tokio::sync::watch;
 
 use crate::calibration::scene::correspondence::SceneImage;
 use crate::geometry::pixel::Pixel;
+use crate::imaging::frame::SensorKind;
 use crate::locks::lock;
 use crate::pipeline::frame_slot::FrameSlot;
 use crate::pipeline::live_frame::LiveFrame;
@@ -58,6 +59,8 @@ struct DrawnFrame {
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct PreviewState {
     pub(super) camera: String,
+    /// The sensors that have given an image since the camera came.
+    pub(super) sensors: Vec<SensorKind>,
     /// The id of the current calibration.
     pub(super) calibration: Option<String>,
     /// The id of the current calibration of its rig.
@@ -154,6 +157,7 @@ impl Preview {
         }
         let scene = DrawnScene {
             camera: &state.camera,
+            sensors: &state.sensors,
             calibration: state.calibration.as_deref(),
             rig_calibration: state.rig_calibration.as_deref(),
             outline_px: &state.outline_px,
@@ -192,7 +196,7 @@ mod tests {
     use crate::geometry::depth_camera::{DepthCamera, DepthReading};
     use crate::geometry::lens::{Lens, LensModel};
     use crate::geometry::pixel::ImageSize;
-    use crate::imaging::frame::{Frame, FrameSet, PixelFormat, SensorKind};
+    use crate::imaging::frame::{Frame, FrameSet, PixelFormat};
     use crate::imaging::timestamp::HostTime;
     use crate::store::Store;
 
@@ -228,6 +232,7 @@ mod tests {
     fn state() -> PreviewState {
         PreviewState {
             camera: "front".into(),
+            sensors: vec![SensorKind::Color],
             calibration: None,
             rig_calibration: None,
             outline_px: Vec::new(),
@@ -328,6 +333,21 @@ mod tests {
     }
 
     #[test]
+    fn an_image_that_only_the_newest_frames_lack_is_asked_for_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let preview = preview(&folder);
+        let sensors = vec![SensorKind::Color, SensorKind::Depth];
+        let state = PreviewState { sensors, ..state() };
+        let drawing = Drawing { sensor: SensorKind::Depth, ..DRAWING };
+        let error = preview.encoded(&live(0), drawing, &state).unwrap_err();
+        assert!(error.is_of_one_frame(), "the preview goes on");
+        assert_eq!(
+            error.to_string(),
+            "the newest frames have no depth image; ask again in a moment"
+        );
+    }
+
+    #[test]
     fn what_cannot_be_shown_is_said() {
         let folder = tempfile::tempdir().unwrap();
         let preview = preview(&folder);
@@ -335,7 +355,10 @@ mod tests {
             preview.encoded(&live(0), drawing, &state()).unwrap_err().to_string()
         };
         let depth = refusal(Drawing { sensor: SensorKind::Depth, ..DRAWING });
-        assert_eq!(depth, "camera `front` has no depth sensor; see GET /v1/cameras/front");
+        assert_eq!(
+            depth,
+            "camera `front` has given no depth image so far; see its sensors at GET /v1/cameras/front"
+        );
         let undistorted = refusal(Drawing { undistorted: true, ..DRAWING });
         assert!(undistorted.contains("no approved calibration of color"), "{undistorted}");
         let rectified = refusal(Drawing { rectified: true, ..DRAWING });
