@@ -21,35 +21,15 @@ use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::joint::normal::ReducedView;
 use crate::estimation::joint::per_observation::assemble;
 use crate::estimation::robust_fit::ROUNDING;
+use crate::estimation::view_influence::{Excess, Influence};
 
 /// Minimum number of views for an estimate of their scatter. The limits below take into account how
 /// much scatter so few views have by chance.
 const MIN_VIEWS: usize = 3;
 
-/// An excess of the squared steps within this many standard deviations is attributed to chance,
-/// which exceeds it seven times in a hundred. A lower limit would mix in the noisy scatter of the
-/// views; a higher one would understate the covariance.
-const CHANCE_STDS: f64 = 1.5;
-
-/// At this many standard deviations beyond chance, the clustered covariance and the model's have
-/// equal weight.
-const EVEN_ODDS_STDS: f64 = 2.0;
-
 /// The largest factor by which a view's step is corrected for its leverage. With a larger one there
 /// would be no estimate without the view.
 const LARGEST_CORRECTION: f64 = 5.0;
-
-/// The influence of one view on the parameters.
-#[derive(Debug, Clone)]
-pub(crate) struct Influence {
-    /// The step of the parameters by this view: δ.
-    pub(crate) step: DVector<f64>,
-    /// The covariance of `step` for unit noise, with independent corners, before the estimate
-    /// follows them.
-    pub(crate) expected: DMatrix<f64>,
-    /// The part of it that the estimate absorbs.
-    pub(crate) taken_up: DMatrix<f64>,
-}
 
 /// A covariance, and its excess over that with independent corners.
 #[derive(Debug, Clone)]
@@ -59,32 +39,6 @@ pub(crate) struct Clustered {
     pub(crate) factor: f64,
     /// The part of `covariance` that comes from the scatter between views, from 0 to below 1.
     pub(crate) weight: f64,
-}
-
-impl Influence {
-    /// Of a view with this `step`, whose covariance is `expected`. `inverse` is the inverse of the
-    /// parameters' covariance.
-    pub(crate) fn of(step: DVector<f64>, expected: DMatrix<f64>, inverse: &DMatrix<f64>) -> Self {
-        let taken_up = &expected * inverse * &expected;
-        Self { step, expected, taken_up }
-    }
-
-    /// The change of the estimate without the view: (1 − C A)⁻¹ δ.
-    fn without(&self, inverse: &DMatrix<f64>) -> DVector<f64> {
-        let size = self.step.len();
-        let rest = DMatrix::identity(size, size) - &self.expected * inverse;
-        rest.lu().solve(&self.step).unwrap_or_else(|| self.step.clone())
-    }
-
-    fn block(&self, block: &Range<usize>) -> Self {
-        let (at, size) = (block.start, block.len());
-        let of = |m: &DMatrix<f64>| m.view((at, at), (size, size)).into_owned();
-        Self {
-            step: self.step.rows(at, size).into_owned(),
-            expected: of(&self.expected),
-            taken_up: of(&self.taken_up),
-        }
-    }
 }
 
 /// The covariance of all global parameters of a fit, with the influence of each of its views.
@@ -233,29 +187,6 @@ pub(crate) fn clustered(
     combined(unit, noise_square, influences, views, without).unwrap_or(plain)
 }
 
-/// The relative excess of the squared influences of views over those of independent corners, and
-/// its standard deviation by chance.
-struct Excess {
-    part: f64,
-    std: f64,
-}
-
-impl Excess {
-    /// `None` where the parameters are not determined.
-    fn of(unit: &DMatrix<f64>, noise_square: f64, influences: &[Influence]) -> Option<Self> {
-        let inverse = unit.clone().cholesky()?.inverse();
-        let (mut seen, mut expected, mut variance) = (0.0, 0.0, 0.0);
-        for influence in influences {
-            let leverage = &influence.expected * &inverse;
-            seen += influence.step.dot(&(&inverse * &influence.step));
-            expected += leverage.trace() - influence.taken_up.dot(&inverse);
-            variance += 2.0 * leverage.dot(&leverage.transpose());
-        }
-        let part = seen / (noise_square * expected) - 1.0;
-        Some(Self { part, std: variance.sqrt() / expected })
-    }
-}
-
 /// `None` where there is no excess scatter between views, or chance would explain it.
 fn combined(
     unit: &DMatrix<f64>,
@@ -264,13 +195,9 @@ fn combined(
     views: usize,
     without: impl FnOnce() -> Option<Vec<DVector<f64>>>,
 ) -> Option<Clustered> {
-    let Excess { part: excess, std } = Excess::of(unit, noise_square, influences)?;
-    if !(excess > CHANCE_STDS * std) {
-        return None;
-    }
-    let beyond = excess - CHANCE_STDS * std;
-    let weight = beyond / (beyond + EVEN_ODDS_STDS * std);
-    let factor = 1.0 + excess * weight;
+    let excess = Excess::of(unit, noise_square, influences)?;
+    let weight = excess.weight()?;
+    let factor = 1.0 + excess.part * weight;
     let by_views = jackknife_covariance(influences, &without()?, views);
     let covariance = unit * ((1.0 - weight) * factor * noise_square) + by_views * weight;
     covariance.iter().all(|v| v.is_finite()).then_some(Clustered { covariance, factor, weight })

@@ -15,7 +15,8 @@
 //! | which corners and views are inliers | `robust`, `robust_fit`, [`view_fault`] |
 //! | whether the model is right at all, and if not, why | [`model_check`], [`split_halves`],
 //! `misfit` |
-//! | whether the errors of a view's corners are correlated | `clustered_covariance`, `jackknife` |
+//! | whether the errors of a view's corners are correlated | `view_influence`,
+//! `clustered_covariance`, `jackknife` |
 //! | color and depth as one camera | [`rgbd`], [`depth_error`] |
 //! | how far to trust a projection | [`uncertainty`] |
 //! | which lens model, and whether another lens of it fits as closely | [`lens_choice`] |
@@ -65,6 +66,7 @@ pub mod two_view;
 pub mod uncertainty;
 pub mod undetermined_coefficients;
 pub mod view_fault;
+mod view_influence;
 pub mod view_motion;
 mod view_order;
 pub mod zhang;

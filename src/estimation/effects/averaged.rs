@@ -61,6 +61,7 @@ impl EffectsFit {
             lens_covariance: &self.lens_covariance * p + &global_shutter.lens_covariance * q,
             inflation,
             weight_of_views: p * self.weight_of_views + q * global_shutter.weight_of_views,
+            left_out_by_chance: self.left_out_by_chance.clone(),
             pose_covariances,
             shape_covariance: own_covariance * p
                 + other_covariance * q

@@ -5,6 +5,7 @@ use nalgebra::{DMatrix, Matrix6};
 use crate::estimation::effects::board_basis::BoardBasis;
 use crate::estimation::effects::evidence::Variances;
 use crate::estimation::effects::state::EffectsState;
+use crate::estimation::view_influence::LeftOutByChance;
 
 /// The estimated effects beyond lens and poses, with their covariances.
 #[derive(Debug, Clone)]
@@ -21,6 +22,9 @@ pub(crate) struct EffectsFit {
     pub(crate) inflation: f64,
     /// The part of `lens_covariance` that comes from the scatter between views, from 0 to below 1.
     pub(crate) weight_of_views: f64,
+    /// For each view in use, or a sample of many: the change of the lens without it, if corners were
+    /// independent. Empty where a view alone determines some parameter.
+    pub(crate) left_out_by_chance: Vec<LeftOutByChance>,
     /// Per observation: covariance of its pose step (rotation, translation).
     pub(crate) pose_covariances: Vec<Option<Matrix6<f64>>>,
     /// Covariance of the shape's coefficients (zero for those not in the model).

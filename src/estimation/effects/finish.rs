@@ -4,7 +4,7 @@ use std::rc::Rc;
 
 use nalgebra::{DMatrix, DVector, Matrix6};
 
-use crate::estimation::clustered_covariance::{Clustered, Influence, clustered};
+use crate::estimation::clustered_covariance::{Clustered, clustered};
 use crate::estimation::effects::effects_fit::EffectsFit;
 use crate::estimation::effects::evidence::Posterior;
 use crate::estimation::effects::influence::view_jacobians;
@@ -13,6 +13,7 @@ use crate::estimation::effects::six_columns::square_of_six;
 use crate::estimation::effects::state::Scene;
 use crate::estimation::effects::system::System;
 use crate::estimation::joint::{BoardObservation, Layout};
+use crate::estimation::view_influence::{Influence, LeftOutByChance};
 use crate::geometry::lens::Lens;
 
 impl EffectSearch {
@@ -41,6 +42,8 @@ impl EffectSearch {
             let in_units = |moved: DVector<f64>| DVector::from_fn(lens, |k, _| moved[k] / scale[k]);
             Some(views.iter().map(|view| in_units(view.without(&all))).collect())
         };
+        let left_out_by_chance =
+            influences.iter().map(|one| LeftOutByChance::of(&inverse, one)).collect::<Option<_>>();
         let Clustered { covariance, factor, weight } =
             clustered(&unit, noise_square, (&influences, scene.good.len()), without);
         Some(EffectsFit {
@@ -50,6 +53,7 @@ impl EffectSearch {
             }),
             inflation: factor,
             weight_of_views: weight,
+            left_out_by_chance: left_out_by_chance.unwrap_or_default(),
             pose_covariances: pose_covariances(&self.system, &posterior, scene.observations.len()),
             shape_covariance: shape_covariance * factor,
             state: self.state.with_rigid_part_in_poses(&basis),

@@ -5,13 +5,13 @@ use std::ops::Range;
 
 use nalgebra::{Cholesky, DMatrix, DMatrixView, DVector, Dyn, Vector6};
 
-use crate::estimation::clustered_covariance::Influence;
 use crate::estimation::effects::state::{EffectsState, Scene};
 use crate::estimation::effects::view_columns::ViewColumns;
 use crate::estimation::joint::linearize::{
     Columns, LinearizationPoint, LinearizedObservation, LocalEquations, differentiate_observation,
 };
 use crate::estimation::robust::Loss;
+use crate::estimation::view_influence::Influence;
 
 /// The largest number of views whose influence is computed.
 const MAX_INFLUENCES: usize = 60;
